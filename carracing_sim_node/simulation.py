@@ -1,0 +1,174 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""Gymnasium's CarRacing-v3 with its drawing taken off, so that frames can pass undrawn."""
+
+from collections.abc import Callable
+from math import sqrt
+from typing import Any
+
+from gymnasium.envs.box2d.car_racing import FPS
+from gymnasium.envs.box2d.car_racing import PLAYFIELD
+from gymnasium.envs.box2d.car_racing import CarRacing
+import numpy as np
+
+from carracing_sim_node.car_step import press_pedals
+from carracing_sim_node.car_step import push_wheels
+from carracing_sim_node.contacts import TileContacts
+
+STANDING_SPEED = 1.0
+"""Below this speed of the hull, in units per second, the car stands (full speed is about 100)."""
+
+OFF_FIELD_REWARD = -100
+"""What gymnasium gives, in place of anything else, for the frame in which the car leaves."""
+
+_DT = 1.0 / FPS
+_VELOCITY_ITERATIONS = 6 * 30
+_POSITION_ITERATIONS = 2 * 30
+
+
+class Simulation(CarRacing):
+    """
+    Tracks, physics, reward and ends of gymnasium's environment, one frame at a time.
+
+    `advance` is gymnasium's `step` without its drawing, with the controls as three numbers.
+    Tracks, bodies and colours are created by gymnasium's own code.
+    """
+
+    def __init__(self, *, domain_randomize: bool = False, continuous: bool = True) -> None:
+        """Create an empty world; the arguments are gymnasium's."""
+        super().__init__(domain_randomize=domain_randomize, continuous=continuous)
+        self.on_new_track: Callable[[], None] | None = None
+        self.on_tile_faded: Callable[[int], None] | None = None
+        self.contacts: TileContacts | None = None
+        self.frames = 0
+        self.standing_still = 0
+        self.speed = 0.0
+
+    def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[None, dict]:
+        """Start an episode as gymnasium does, drawing nothing."""
+        self.frames = 0
+        self.standing_still = 0
+        super().reset(seed=seed, options=options)
+        return None, {}
+
+    def step(self, action: None) -> tuple[None, float, bool, bool, dict]:
+        """Simulate the one frame without controls that gymnasium's `reset` asks for."""
+        assert action is None
+        self._simulate()
+        return None, 0.0, False, False, {}
+
+    def advance(self, steer: float, gas: float, brake: float) -> tuple[float, bool, bool]:
+        """
+        Simulate one frame of 1/50 s.
+
+        Args:
+            steer: Wanted steering, negative to the left, in [-1, 1].
+            gas: Wanted gas in [0, 1].
+            brake: Brake in [0, 1].
+
+        Returns:
+            The reward of the frame, whether the lap was finished in it, and whether the car has
+            left the playfield in it. Either of the two ends the episode.
+        """
+        press_pedals(self.car, -steer, gas, brake)
+        self._simulate()
+        self.frames += 1
+        self.standing_still = self.standing_still + 1 if self.speed < STANDING_SPEED else 0
+
+        self.reward -= 0.1
+        self.car.fuel_spent = 0.0
+        reward = self.reward - self.prev_reward
+        self.prev_reward = self.reward
+        lap_finished = self.tile_visited_count == len(self.track) or self.new_lap
+        position = self.car.hull.position
+        off_field = abs(position.x) > PLAYFIELD or abs(position.y) > PLAYFIELD
+        if off_field:
+            reward = OFF_FIELD_REWARD
+        return reward, lap_finished, off_field
+
+    def skip_reset(self, randomize: bool = True) -> None:
+        """
+        Use the random numbers of one `reset` up and leave everything else as it is.
+
+        Args:
+            randomize: Whether that reset would have changed the colours, with domain
+                randomisation.
+        """
+        kept = self.__dict__.copy()
+        self.world = _NoWorld()
+        try:
+            if self.domain_randomize:
+                self._reinit_colors(randomize)
+            while True:
+                self.road_poly = []
+                if CarRacing._create_track(self):
+                    break
+        finally:
+            kept['_np_random'] = self._np_random
+            self.__dict__.update(kept)
+
+    def tile_faded(self, index: int) -> None:
+        """Pass on that tile `index` has taken the plain road colour."""
+        if self.on_tile_faded is not None:
+            self.on_tile_faded(index)
+
+    def draw_stock(self, mode: str = 'state_pixels', *, settled_zoom: bool = False) -> np.ndarray:
+        """
+        Draw the present frame with gymnasium's own code.
+
+        Args:
+            mode: `state_pixels` for uint8 (96, 96, 3) or `rgb_array` for uint8 (400, 600, 3).
+            settled_zoom: Draw the first second with the zoom that follows it.
+        """
+        time = self.t
+        if settled_zoom:
+            self.t = max(time, 1.0)
+        try:
+            return CarRacing._render(self, mode)
+        finally:
+            self.t = time
+
+    def _simulate(self) -> None:
+        """Let one frame of physics pass."""
+        push_wheels(self.car, _DT)
+        self.world.Step(_DT, _VELOCITY_ITERATIONS, _POSITION_ITERATIONS)
+        self.t += _DT
+        velocity = self.car.hull.linearVelocity
+        x = velocity.x
+        y = velocity.y
+        self.speed = sqrt(x * x + y * y)
+
+    def _create_track(self) -> bool:
+        """Create a track with gymnasium's code and watch it with our own contact listener."""
+        if not super()._create_track():
+            return False
+        self.contacts = TileContacts(self, self.lap_complete_percent)
+        self.world.contactListener_bug_workaround = self.contacts
+        self.world.contactListener = self.contacts
+        if self.on_new_track is not None:
+            self.on_new_track()
+        return True
+
+    def _render(self, mode: str) -> Any:
+        """Draw nothing where gymnasium would; `draw_stock` is how to ask for it."""
+        return None
+
+
+class _NoFixture:
+    """Stands for the fixture of a tile that is not created."""
+
+    sensor = False
+
+
+class _NoBody:
+    """Stands for the body of a tile that is not created."""
+
+    fixtures = (_NoFixture(),)
+
+
+class _NoWorld:
+    """A world that creates nothing, for tracks of which only the random numbers matter."""
+
+    def CreateStaticBody(self, **_: Any) -> _NoBody:  # noqa: N802 (gymnasium calls it so)
+        """Return something that takes the attributes of a tile."""
+        return _NoBody()
