@@ -43,6 +43,7 @@ class Simulation(CarRacing):
         self.frames = 0
         self.standing_still = 0
         self.speed = 0.0
+        self.shown_reward = 0.0
 
     def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[None, dict]:
         """Start an episode as gymnasium does, drawing nothing."""
@@ -120,13 +121,14 @@ class Simulation(CarRacing):
             mode: `state_pixels` for uint8 (96, 96, 3) or `rgb_array` for uint8 (400, 600, 3).
             settled_zoom: Draw the first second with the zoom that follows it.
         """
-        time = self.t
+        time, reward = self.t, self.reward
         if settled_zoom:
             self.t = max(time, 1.0)
+        self.reward = self.shown_reward
         try:
             return CarRacing._render(self, mode)
         finally:
-            self.t = time
+            self.t, self.reward = time, reward
 
     def _simulate(self) -> None:
         """Let one frame of physics pass."""
@@ -137,6 +139,8 @@ class Simulation(CarRacing):
         x = velocity.x
         y = velocity.y
         self.speed = sqrt(x * x + y * y)
+        # Gymnasium draws before it charges the frame, so the score in the frame lacks that 0.1.
+        self.shown_reward = self.reward
 
     def _create_track(self) -> bool:
         """Create a track with gymnasium's code and watch it with our own contact listener."""
