@@ -1,0 +1,142 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+One place to describe a setting: type, default, range, unit, meaning and source.
+
+A settings class is a frozen dataclass whose fields are made with `setting()`. ROS parameters,
+YAML presets, command-line help and the tables in the documentation are all made from it.
+"""
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import math
+from typing import Any, get_type_hints, TypeVar
+
+from msgs_bridge.errors import SettingsError
+
+Settings = TypeVar('Settings')
+
+
+@dataclasses.dataclass(frozen=True)
+class Description:
+    """What is known of one setting beside its name, type and default."""
+
+    text: str
+    low: float | None = None
+    high: float | None = None
+    choices: tuple[str, ...] = ()
+    live: bool = False
+
+    @property
+    def accepted(self) -> str:
+        """Return the accepted values in words, empty if anything of the type is."""
+        if self.choices:
+            return 'one of ' + ', '.join(repr(choice) for choice in self.choices)
+        if self.low is None:
+            return ''
+        return f'{self.low:g} to {self.high:g}'
+
+
+def setting(
+    default: Any,
+    text: str,
+    *,
+    low: float | None = None,
+    high: float | None = None,
+    choices: tuple[str, ...] = (),
+    live: bool = False,
+) -> Any:
+    """
+    Describe a setting in the class body of a settings dataclass.
+
+    Args:
+        default: value when nothing is said.
+        text: one sentence with unit and, where there is one, the source.
+        low, high: inclusive range of a number; both or neither.
+        choices: accepted texts of a str.
+        live: whether a running node takes a new value.
+    """
+    if (low is None) != (high is None):
+        raise TypeError('a range needs both ends')
+    description = Description(text, low, high, choices, live)
+    return dataclasses.field(default=default, metadata={'description': description})
+
+
+def describe(settings_class: type) -> dict[str, tuple[type, Any, Description]]:
+    """Return name -> (type, default, description) in the order of declaration."""
+    hints = get_type_hints(settings_class)
+    return {
+        field.name: (hints[field.name], field.default, field.metadata['description'])
+        for field in dataclasses.fields(settings_class)
+    }
+
+
+def check_value(name: str, kind: type, description: Description, value: Any) -> Any:
+    """
+    Return the value as its type, or say what is accepted.
+
+    Raises:
+        SettingsError: wrong type, not finite, out of range or not among the choices.
+    """
+    if kind is float and isinstance(value, int) and not isinstance(value, bool):
+        value = float(value)
+    if type(value) is not kind:
+        raise SettingsError(f'{name} must be a {kind.__name__}, not {value!r}')
+    if kind is float and not math.isfinite(value):
+        raise SettingsError(f'{name} must be finite, not {value!r}')
+    if description.choices and value not in description.choices:
+        raise SettingsError(f'{name} is {value!r}; accepted: {description.accepted}')
+    if description.low is not None and not description.low <= value <= description.high:
+        raise SettingsError(f'{name} is {value!r}; accepted: {description.accepted}')
+    return value
+
+
+def from_mapping(settings_class: type[Settings], values: dict[str, Any]) -> Settings:
+    """
+    Make settings from a mapping, defaults where it is silent.
+
+    Raises:
+        SettingsError: an unknown name (with the nearest one) or a value not accepted.
+    """
+    known = describe(settings_class)
+    checked = {}
+    for name, value in values.items():
+        if name not in known:
+            nearest = difflib.get_close_matches(str(name), known, n=1)
+            hint = f'; did you mean {nearest[0]!r}?' if nearest else ''
+            raise SettingsError(f'unknown setting {name!r}{hint}')
+        kind, _, description = known[name]
+        checked[name] = check_value(name, kind, description, value)
+    return settings_class(**checked)
+
+
+def parse_text(settings_class: type, name: str, text: str) -> Any:
+    """
+    Read one value that was typed on a command line, by the type of its setting.
+
+    Raises:
+        SettingsError: unknown name, or text that is not of the type or not accepted.
+    """
+    known = describe(settings_class)
+    if name not in known:
+        from_mapping(settings_class, {name: text})
+    kind, _, description = known[name]
+    try:
+        if kind is bool:
+            value = {'true': True, 'false': False}[text.lower()]
+        else:
+            value = kind(text)
+    except (KeyError, ValueError):
+        raise SettingsError(f'{name} must be a {kind.__name__}, not {text!r}') from None
+    return check_value(name, kind, description, value)
+
+
+def markdown_table(settings_class: type) -> str:
+    """Return the settings as a Markdown table for the documentation."""
+    lines = ['| name | type | default | accepted | meaning |', '|---|---|---|---|---|']
+    for name, (kind, default, description) in describe(settings_class).items():
+        accepted = description.accepted.replace('|', '/')
+        shown = f'`{default}`' if default != '' else "`''`"
+        lines.append(f'| `{name}` | {kind.__name__} | {shown} | {accepted} | {description.text} |')
+    return '\n'.join(lines)

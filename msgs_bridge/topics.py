@@ -1,0 +1,66 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Every topic of the graph: name, type, QoS and who publishes it, in one table.
+
+Names are relative: launch files and `--ros-args -r __ns:=...` place them in a namespace.
+"""
+from __future__ import annotations
+
+import dataclasses
+
+
+@dataclasses.dataclass(frozen=True)
+class Topic:
+    """
+    One topic of the contract.
+
+    Attributes:
+        name: relative name (absolute only for the ROS-wide ones).
+        type_name: ROS interface type, `package/msg/Type`.
+        publisher: node that publishes it.
+        depth: history depth of publisher and subscription (keep last).
+        reliable: reliable delivery; best effort otherwise.
+        latched: transient local durability, so that late subscribers get the last message.
+        text: what a message holds.
+    """
+
+    name: str
+    type_name: str
+    publisher: str
+    depth: int
+    text: str
+    reliable: bool = True
+    latched: bool = False
+
+
+# Deep enough that a trainer busy with one update or one checkpoint of some seconds loses nothing.
+STALL_DEPTH = 2000
+
+IMAGE = Topic('image_raw', 'sensor_msgs/msg/Image', 'carracing_sim_node', 10,
+              'rgb8 96x96 observation; stamp = simulation time, never rewound')
+STEP = Topic('step', 'sensor_msgs/msg/JointState', 'carracing_sim_node', STALL_DEPTH,
+             'names and values of `step_fields.STEP_FIELDS`; same stamp as its image')
+REWARD = Topic('reward', 'std_msgs/msg/Float32', 'carracing_sim_node', 10,
+               "the environment's own reward, for a quick look; never a join key")
+EPISODE = Topic('episode', 'sensor_msgs/msg/JointState', 'carracing_sim_node', 10,
+                'summary of the episode that just ended, `step_fields.EPISODE_FIELDS`',
+                latched=True)
+CMD_VEL = Topic('cmd_vel', 'geometry_msgs/msg/TwistStamped', 'dqn_policy_node', STALL_DEPTH,
+                'linear.x gas > 0, brake < 0; angular.z left > 0; all in [-1, 1]; '
+                'stamp of the image it answers')
+Q_VALUES = Topic('q_values', 'sensor_msgs/msg/JointState', 'dqn_policy_node', 100,
+                 'Q-value of each action by name, then `chosen`, `explored`, `weights_version`; '
+                 'stamp of the image')
+WEIGHTS = Topic('weights', 'std_msgs/msg/UInt8MultiArray', 'trainer_node', 1,
+                'a safetensors file image with version, epsilon, model description and hash',
+                latched=True)
+VALIDATION = Topic('validation', 'sensor_msgs/msg/JointState', 'validation_node', 10,
+                   'greedy laps of one weights version, `step_fields.VALIDATION_FIELDS`',
+                   latched=True)
+CLOCK = Topic('/clock', 'rosgraph_msgs/msg/Clock', 'carracing_sim_node', 10,
+              'simulation time')
+DIAGNOSTICS = Topic('/diagnostics', 'diagnostic_msgs/msg/DiagnosticArray', 'every node', 10,
+                    '1 Hz health: rates, drops, rejects')
+
+TOPICS = (IMAGE, STEP, REWARD, EPISODE, CMD_VEL, Q_VALUES, WEIGHTS, VALIDATION, CLOCK, DIAGNOSTICS)
