@@ -15,7 +15,6 @@ import dataclasses
 
 import numpy as np
 
-from msgs_bridge.errors import MessageError
 from msgs_bridge.stamps import NANOSECONDS
 from msgs_bridge.twists import Action
 
@@ -110,8 +109,7 @@ class TransitionJoiner:
         """
         Take the step facts of the image of a stamp in ns.
 
-        Raises:
-            MessageError: stamps of one episode that go backwards.
+        A stamp older than the one before means that time was set back: what was kept is dropped.
         """
         if stamp == self._newest_step:
             self.counts['duplicate'] += 1
@@ -171,11 +169,3 @@ class TransitionJoiner:
             stamp, next_stamp, self._images.items[stamp], self._images.items[next_stamp],
             self._twists.items[applied], after, before,
         )
-
-
-def step_stamp_text(stamp: int) -> str:
-    """Return a stamp in ns as seconds, for messages to people."""
-    return f'{stamp / NANOSECONDS:.3f} s'
-
-
-__all__ = ['MessageError', 'Transition', 'TransitionJoiner', 'step_stamp_text']

@@ -1,0 +1,187 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""What all our nodes share: parameters from a settings class, topics, health, clean shutdown."""
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+import dataclasses
+import importlib
+import os
+import sys
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from msgs_bridge import topics
+from msgs_bridge.errors import BridgeError, MessageError, SettingsError
+from msgs_bridge.qos import qos_profile
+from msgs_bridge.settings import check_value, describe, from_mapping
+from msgs_bridge.topics import Topic
+from rcl_interfaces.msg import (
+    FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult,
+)
+import rclpy
+from rclpy.exceptions import InvalidParameterTypeException, ParameterException
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+# declared by rclpy itself, or by it on our behalf
+FOREIGN_PARAMETERS = ('use_sim_time', 'start_type_description_service', 'qos_overrides')
+
+
+def message_class(type_name: str) -> type:
+    """Return the message class of `package/msg/Type`."""
+    package, kind, name = type_name.split('/')
+    return getattr(importlib.import_module(f'{package}.{kind}'), name)
+
+
+def keep_discovery_local() -> None:
+    """Stay on this host unless the user has said otherwise: nobody else drives the car."""
+    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+
+
+class NodeShell(Node):
+    """
+    A node whose parameters are a settings class and whose health is on `/diagnostics`.
+
+    Attributes:
+        settings: the current values; fields that are `live` follow `ros2 param set`.
+        counts: events counted since the start, shown in the diagnostics.
+    """
+
+    def __init__(self, name: str, settings_class: type) -> None:
+        """
+        Declare the parameters and start the 1 Hz diagnostics.
+
+        Raises:
+            SettingsError: a parameter that is unknown or not accepted.
+        """
+        super().__init__(name)
+        self.counts: Counter[str] = Counter()
+        self._settings_class = settings_class
+        self.settings = from_mapping(settings_class, self._declare(settings_class))
+        self.add_on_set_parameters_callback(self._on_set_parameters)
+        self._diagnostics = self.publisher(topics.DIAGNOSTICS)
+        self.create_timer(1.0, self.publish_diagnostics)
+
+    def publisher(self, topic: Topic, *, type_name: str | None = None) -> Any:
+        """Create the publisher of a topic of the contract."""
+        return self.create_publisher(
+            message_class(type_name or topic.type_name), topic.name, qos_profile(topic))
+
+    def subscription(
+        self, topic: Topic, callback: Callable, *, type_name: str | None = None,
+        depth: int | None = None,
+    ) -> Any:
+        """
+        Subscribe to a topic of the contract; bad messages are counted, not fatal.
+
+        A `MessageError` that the callback raises is logged (throttled) and the node goes on.
+        """
+        def checked(message: Any) -> None:
+            try:
+                callback(message)
+            except MessageError as error:
+                self.counts[f'rejected_{topic.name}'] += 1
+                self.get_logger().warn(
+                    f'{topic.name}: {error}', throttle_duration_sec=5.0)
+
+        return self.create_subscription(
+            message_class(type_name or topic.type_name), topic.name, checked,
+            qos_profile(topic, depth=depth))
+
+    def health(self) -> tuple[bytes, str, dict[str, object]]:
+        """Return level, summary and values for the diagnostics; nodes add theirs."""
+        return DiagnosticStatus.OK, 'running', {}
+
+    def publish_diagnostics(self) -> None:
+        """Publish the health of this node."""
+        level, summary, values = self.health()
+        message = DiagnosticArray()
+        message.header.stamp = self.get_clock().now().to_msg()
+        status = DiagnosticStatus(
+            level=level, name=self.get_fully_qualified_name(), message=summary,
+            hardware_id='carracing_dqn')
+        status.values = [
+            KeyValue(key=key, value=f'{value:.6g}' if isinstance(value, float) else str(value))
+            for key, value in {**values, **self.counts}.items()]
+        message.status = [status]
+        self._diagnostics.publish(message)
+
+    def settings_changed(self) -> None:
+        """Take over live settings after `self.settings` has changed; nodes override it."""
+
+    def close(self) -> None:
+        """Save or finish what must not be lost; called once on every way out."""
+
+    def _declare(self, settings_class: type) -> dict[str, object]:
+        known = describe(settings_class)
+        overrides = self._parameter_overrides
+        for name in overrides:
+            if name not in known and not name.startswith(FOREIGN_PARAMETERS):
+                from_mapping(settings_class, {name: None})
+        values = {}
+        for name, (kind, default, description) in known.items():
+            given = overrides.get(name)
+            if given is not None and kind is float and given.type_ == Parameter.Type.INTEGER:
+                overrides[name] = Parameter(name, value=float(given.value))
+            elif given is not None:
+                check_value(name, kind, description, given.value)
+            descriptor = ParameterDescriptor(
+                description=description.text, additional_constraints=description.accepted,
+                read_only=not description.live)
+            if description.low is not None:
+                limits = {'from_value': kind(description.low), 'to_value': kind(description.high)}
+                if kind is int:
+                    descriptor.integer_range = [IntegerRange(**limits)]
+                else:
+                    descriptor.floating_point_range = [FloatingPointRange(**limits)]
+            try:
+                values[name] = self.declare_parameter(name, default, descriptor).value
+            except (ParameterException, InvalidParameterTypeException) as error:
+                raise SettingsError(f'{name}: {error}') from None
+        return values
+
+    def _on_set_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
+        known = describe(self._settings_class)
+        changes = {}
+        for parameter in parameters:
+            if parameter.name in known:
+                kind, _, description = known[parameter.name]
+                try:
+                    changes[parameter.name] = check_value(
+                        parameter.name, kind, description, parameter.value)
+                except SettingsError as error:
+                    return SetParametersResult(successful=False, reason=str(error))
+        if changes:
+            self.settings = dataclasses.replace(self.settings, **changes)
+            self.settings_changed()
+        return SetParametersResult(successful=True)
+
+
+def run_node(make_node: Callable[[], NodeShell], args: list[str] | None = None) -> int:
+    """
+    Run one node until SIGINT, SIGTERM or shutdown; return the exit code of the process.
+
+    A `BridgeError` while starting or running ends the process with one line and code 2.
+    """
+    keep_discovery_local()
+    rclpy.init(args=args)
+    node = None
+    try:
+        node = make_node()
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        executor.spin()
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    except BridgeError as error:
+        sys.stderr.write(f'error: {error}\n')
+        return 2
+    finally:
+        if node is not None:
+            node.close()
+            node.destroy_node()
+        rclpy.try_shutdown()
+    return 0
