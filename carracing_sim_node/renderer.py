@@ -34,4 +34,8 @@ def choose_renderer(name: str, sim: Simulation, *, settled_zoom: bool) -> StockR
         sim: The simulation whose frames it will draw.
         settled_zoom: Draw the first second with the zoom that follows it.
     """
-    return StockRenderer(sim, settled_zoom=settled_zoom)
+    if name == 'stock':
+        return StockRenderer(sim, settled_zoom=settled_zoom)
+    from carracing_sim_node.fast_renderer import FastRenderer
+
+    return FastRenderer(sim, settled_zoom=settled_zoom)
