@@ -30,6 +30,10 @@ from rclpy.parameter import Parameter
 FOREIGN_PARAMETERS = ('use_sim_time', 'start_type_description_service', 'qos_overrides')
 
 
+class Finished(Exception):
+    """Raised in a callback by a node whose work is done; the process ends with code 0."""
+
+
 def message_class(type_name: str) -> type:
     """Return the message class of `package/msg/Type`."""
     package, kind, name = type_name.split('/')
@@ -174,7 +178,7 @@ def run_node(make_node: Callable[[], NodeShell], args: list[str] | None = None) 
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         executor.spin()
-    except (KeyboardInterrupt, ExternalShutdownException):
+    except (KeyboardInterrupt, ExternalShutdownException, Finished):
         pass
     except BridgeError as error:
         sys.stderr.write(f'error: {error}\n')

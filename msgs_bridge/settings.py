@@ -53,7 +53,8 @@ def setting(
     Args:
         default: value when nothing is said.
         text: one sentence with unit and, where there is one, the source.
-        low, high: inclusive range of a number; both or neither.
+        low: least number accepted; goes with high.
+        high: greatest number accepted.
         choices: accepted texts of a str.
         live: whether a running node takes a new value.
     """

@@ -10,6 +10,7 @@ STEP_FIELDS = {
     'left_field': '1 when the car left the playfield',
     'ended_early': '1 when the early-end variant cut the episode',
     'episode': 'number of the episode, from 0',
+    'seed': 'seed of the track; -1 when it came from the stream of the first seed',
     'decision': 'number of the published frame within its episode, from 0 (the reset frame)',
     'step': 'simulator frames (1/50 s) since the start of the episode',
     'episode_return': 'sum of rewards so far in the episode',
