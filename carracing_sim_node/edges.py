@@ -236,42 +236,45 @@ def quad_row(xs, ys, y, runs):
 
 
 @compiled
-def polygon_row(xs, ys, corners, y, runs):
+def polygon_row(xs, ys, polygon, corners, top, lowest, y, runs):
     """
     Find what `draw.polygon` fills of a polygon in row `y`, its horizontal edges included.
 
     Args:
-        xs: int (MAX_CORNERS,) corners.
-        ys: int (MAX_CORNERS,) corners.
-        corners: How many of them there are.
-        y: The row, between the topmost and the lowest corner.
+        xs: int64 (m, MAX_CORNERS): corners of all polygons.
+        ys: int64 (m, MAX_CORNERS).
+        polygon: Which of them.
+        corners: How many corners it has.
+        top: The row of its topmost corner.
+        lowest: The row of its lowest corner.
+        y: The row, between those two.
         runs: int64 (4 * MAX_CORNERS,), written: first and last pixel of each run, in turn.
 
     Returns:
         How many runs there are.
     """
-    top = ys[0]
-    lowest = ys[0]
-    for i in range(1, corners):
-        top = min(top, ys[i])
-        lowest = max(lowest, ys[i])
     if top == lowest:
-        runs[0] = xs[0]
-        runs[1] = xs[0]
+        runs[0] = runs[1] = xs[polygon, 0]
         for i in range(1, corners):
-            runs[0] = min(runs[0], xs[i])
-            runs[1] = max(runs[1], xs[i])
+            runs[0] = min(runs[0], xs[polygon, i])
+            runs[1] = max(runs[1], xs[polygon, i])
         return 1
     found = 0
+    flat = 0
+    before_x = xs[polygon, corners - 1]
+    before_y = ys[polygon, corners - 1]
     for i in range(corners):
-        j = i - 1 if i else corners - 1
-        if ys[j] < ys[i]:
-            x1, y1, x2, y2 = xs[j], ys[j], xs[i], ys[i]
-        elif ys[j] > ys[i]:
-            x1, y1, x2, y2 = xs[i], ys[i], xs[j], ys[j]
+        x = xs[polygon, i]
+        y_here = ys[polygon, i]
+        if before_y < y_here:
+            x1, y1, x2, y2 = before_x, before_y, x, y_here
         else:
-            continue
-        if (y1 <= y < y2) or (y == lowest and y2 == lowest):
+            x1, y1, x2, y2 = x, y_here, before_x, before_y
+        before_x = x
+        before_y = y_here
+        if y1 == y2:
+            flat += y1 == y
+        elif (y1 <= y < y2) or (y == lowest and y2 == lowest):
             offset = np.float32(np.float32((y - y1) * (x2 - x1)) / np.float32(y2 - y1))
             # pygame rounds the first, third, ... crossing that it finds down and the others up.
             if found % 2 == 0:
@@ -282,12 +285,13 @@ def polygon_row(xs, ys, corners, y, runs):
             found += 1
     _sort(runs, found)
     found -= found % 2
-    for i in range(corners):
-        j = i - 1 if i else corners - 1
-        if ys[i] == y and ys[j] == y and top < y < lowest:
-            runs[found] = min(xs[i], xs[j])
-            runs[found + 1] = max(xs[i], xs[j])
-            found += 2
+    if flat and top < y < lowest:
+        for i in range(corners):
+            k = i - 1 if i else corners - 1
+            if ys[polygon, i] == y and ys[polygon, k] == y:
+                runs[found] = min(xs[polygon, i], xs[polygon, k])
+                runs[found + 1] = max(xs[polygon, i], xs[polygon, k])
+                found += 2
     return found // 2
 
 

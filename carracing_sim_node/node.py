@@ -160,13 +160,14 @@ class CarRacingSimNode(NodeShell):
             self._held, self._held_since = (action, stamp), time.monotonic()
             return
         if stamp != self._frame.stamp:
-            if stamp != self._final_stamp:
+            # an answer to the last frame of an episode, or a watchdog's zero twist, is no fault
+            if stamp not in (self._final_stamp, 0):
                 raise MessageError(
                     f'twist answers {stamp / NANOSECONDS:.2f} s; '
                     f'waiting for {self._frame.stamp / NANOSECONDS:.2f} s')
             return
-        self._held = (action, stamp)
-        self._answer = (action, stamp)
+        if self._answer is None:
+            self._held = self._answer = (action, stamp)
         self._go_on()
 
     def _go_on(self) -> None:
@@ -199,7 +200,8 @@ class CarRacingSimNode(NodeShell):
             return
         if self._held is not None:
             if time.monotonic() - self._held_since <= self.settings.stale_after:
-                self._advance(*self._held)
+                action, stamp = self._held
+                self._advance(action, stamp or None)
                 return
             self._held = None
             self.counts['stale_twists'] += 1

@@ -50,6 +50,11 @@ PANEL_BANDS = 4
 
 PANEL_ROWS = PANEL_BANDS * BAND_ROWS
 
+MAX_CAR_RUNS = 4096
+"""
+More runs of pixels than a car has: twelve polygons of at most 100 rows and mostly one run each.
+"""
+
 # The elements of a view.
 COSINE = 0
 SINE = 1
@@ -110,6 +115,9 @@ class Scratch(NamedTuple):
     runs: np.ndarray
     """int64 (4 * MAX_CORNERS,)."""
 
+    car_runs: np.ndarray
+    """int64 (MAX_CAR_RUNS, 4): y, first pixel, last pixel and colour of the car's runs."""
+
     band: np.ndarray
     """uint32 (BAND_ROWS, WIDTH): the pixels of a band."""
 
@@ -130,6 +138,7 @@ def make_scratch(capacity: int) -> Scratch:
         right=np.empty(capacity * visible, np.int32),
         count=np.zeros(HEIGHT, np.uint8),
         runs=np.zeros(4 * MAX_CORNERS, np.int64),
+        car_runs=np.zeros((MAX_CAR_RUNS, 4), np.int64),
         band=np.zeros((BAND_ROWS, WIDTH), np.uint32),
         mixed=np.zeros((BAND_OUT, OUT), np.uint8),
     )
@@ -253,18 +262,21 @@ def prepare_quads(quads, places, colours, view, with_field, scratch):
 @compiled
 def fill_run(band, row, first, last, rgb):
     """Colour the pixels `first` to `last` of a row, as far as they are on the surface."""
-    for x in range(max(first, 0), min(last, WIDTH - 1) + 1):
-        band[row, x] = rgb
+    # Unsigned, so that Numba need not provide for indices from the end: that would keep the
+    # loop from being vectorised.
+    start = np.uint64(max(first, 0))
+    stop = np.uint64(max(min(last, WIDTH - 1) + 1, 0))
+    y = np.uint64(row)
+    for x in range(start, stop):
+        band[y, x] = rgb
 
 
 @compiled
-def fill_simple_quad(scratch, quad, top, low, high, rgb):
-    """Fill rows `low` to `high` of a quad with one run per row; the band begins at `top`."""
-    left = scratch.left
-    right = scratch.right
-    shift = scratch.rows[quad, 2] - scratch.rows[quad, 0]
+def fill_simple_quad(band, mixed, left, right, shift, top, low, high, rgb):
+    """Fill rows `low` to `high` of a quad with one run per row; see `draw_edge`."""
     for y in range(low, high + 1):
-        fill_run(scratch.band, top - y, left[shift + y], right[shift + y], rgb)
+        place = np.uint64(shift + y)
+        fill_run(band, top - y, left[place], right[place], rgb)
 
     for group in range(BAND_OUT):
         # Rows of this group, as y: 9 of them, the ones at its ends shared with its neighbours.
@@ -284,11 +296,11 @@ def fill_simple_quad(scratch, quad, top, low, high, rgb):
         if group_high - group_low == 8:
             # Only windows that a boundary between two pixels runs through are mixed.
             if max_left > 0 and min_left < WIDTH:
-                mark_between(scratch.mixed, group, min_left, max_left)
+                mark_between(mixed, group, min_left, max_left)
             if max_right >= 0 and min_right < WIDTH - 1:
-                mark_between(scratch.mixed, group, min_right + 1, max_right + 1)
+                mark_between(mixed, group, min_right + 1, max_right + 1)
         else:
-            mark(scratch.mixed, group, group, min_left, max_right)
+            mark(mixed, group, group, min_left, max_right)
 
 
 @compiled
@@ -301,41 +313,44 @@ def mark_between(mixed, group, first, last):
 
 
 @compiled
-def fill_split_quad(scratch, quad, top, low, high, rgb):
+def fill_split_quad(band, mixed, xs, ys, runs, top, low, high, rgb):
     """Fill rows `low` to `high` of a quad that folds over itself."""
-    runs = scratch.runs
     for y in range(low, high + 1):
-        found = quad_row(scratch.corners_x[quad], scratch.corners_y[quad], y, runs)
+        found = quad_row(xs, ys, y, runs)
         row = top - y
         for i in range(found):
-            fill_run(scratch.band, row, runs[2 * i], runs[2 * i + 1], rgb)
-            # The neighbouring rows' groups as well: the run may end where this row does.
-            mark(
-                scratch.mixed,
-                group_of(max(row - 1, 0)),
-                last_group_of(min(row + 1, BAND_ROWS - 1)),
-                runs[2 * i],
-                runs[2 * i + 1],
-            )
+            fill_run(band, row, runs[2 * i], runs[2 * i + 1], rgb)
+            mark(mixed, group_of(row), last_group_of(row), runs[2 * i], runs[2 * i + 1])
 
 
 @compiled
-def draw_edge(scratch, quad, edge, top, rgb):
+def draw_edge(band, mixed, edges, quad, side, left, right, shift, simple, top, rgb):
     """
     Draw one smoothed edge of a quad in the band whose first row is `top`.
 
     SDL_gfx draws the edges first and then fills. Here the filling has come first and pixels
     inside it are left alone, which gives the same picture.
+
+    Args:
+        band: uint32 (BAND_ROWS, WIDTH), changed.
+        mixed: uint8 (BAND_OUT, OUT), changed.
+        edges: int64 (capacity, 4, EDGE_FIELDS).
+        quad: Which quad.
+        side: Which of its edges.
+        left: int32: first pixel of the quad's filling in row y at `left[shift + y]`.
+        right: int32: last pixel of the filling.
+        shift: See `left`.
+        simple: Whether `left` and `right` hold the filling at all.
+        top: First row of the band, as y.
+        rgb: Colour.
     """
-    kind = edge[KIND]
+    kind = edges[quad, side, KIND]
     if kind == HIDDEN:
         return
-    band = scratch.band
-    mixed = scratch.mixed
     bottom = top - BAND_ROWS + 1
-    x0 = edge[X0]
-    y0 = edge[Y0]
-    steps = edge[STEPS]
+    x0 = edges[quad, side, X0]
+    y0 = edges[quad, side, Y0]
+    steps = edges[quad, side, STEPS]
 
     if kind == POINT_OR_VERTICAL:
         low = max(y0, bottom)
@@ -352,33 +367,36 @@ def draw_edge(scratch, quad, edge, top, rgb):
             mark(mixed, group_of(row), last_group_of(row), x0, x0 + steps)
         return
 
-    if bottom <= edge[FIRST_Y] <= top:
-        row = top - edge[FIRST_Y]
-        band[row, edge[FIRST_X]] = rgb
-        mark(mixed, group_of(row), last_group_of(row), edge[FIRST_X], edge[FIRST_X])
+    first_x = edges[quad, side, FIRST_X]
+    first_y = edges[quad, side, FIRST_Y]
+    if bottom <= first_y <= top:
+        row = top - first_y
+        band[row, first_x] = rgb
+        mark(mixed, group_of(row), last_group_of(row), first_x, first_x)
 
-    slope = edge[SLOPE]
-    x_step = edge[X_STEP]
-    simple = scratch.rows[quad, 3]
-    left = scratch.left
-    right = scratch.right
-    shift = scratch.rows[quad, 2] - scratch.rows[quad, 0]
+    slope = edges[quad, side, SLOPE]
+    x_step = edges[quad, side, X_STEP]
+    # Whether a pixel lies in the filling cannot be predicted, so it takes part with a weight of 0
+    # instead of being passed over.
     if kind == STEEP:
         first = max(1, bottom - y0)
         last = min(steps - 1, top - y0)
         for k in range(first, last + 1):
             y = y0 + k
-            row = top - y
+            row = np.uint64(top - y)
+            place = np.uint64(shift + y)
+            inner = left[place] if simple else WIDTH
+            outer = right[place] if simple else -1
             position = k * slope
-            x = x0 + x_step * (position >> 16)
             weight = (position >> 8) & 255
-            inner = left[shift + y] if simple else WIDTH
-            outer = right[shift + y] if simple else -1
-            if x < inner or x > outer:
-                band[row, x] = blend(band[row, x], rgb, 255 - weight)
+            x = x0 + x_step * (position >> 16)
+            near = 255 - weight if (x < inner) | (x > outer) else 0
+            column = np.uint64(x)
+            band[row, column] = blend(band[row, column], rgb, near)
             x += x_step
-            if x < inner or x > outer:
-                band[row, x] = blend(band[row, x], rgb, weight)
+            far = weight if (x < inner) | (x > outer) else 0
+            column = np.uint64(x)
+            band[row, column] = blend(band[row, column], rgb, far)
         for group in range(BAND_OUT):
             a = max(first, top - 8 * (group + 1) - y0)
             b = min(last, top - 8 * group - y0)
@@ -391,14 +409,23 @@ def draw_edge(scratch, quad, edge, top, rgb):
     first, last = steps_in_rows(slope, steps, bottom - 1 - y0, top - y0)
     for k in range(first, last + 1):
         position = k * slope
+        weight = (position >> 8) & 255
         y = y0 + (position >> 16)
         x = x0 + x_step * k
-        weight = (position >> 8) & 255
-        if y >= bottom and (not simple or x < left[shift + y] or x > right[shift + y]):
-            band[top - y, x] = blend(band[top - y, x], rgb, 255 - weight)
+        column = np.uint64(x)
+        if y >= bottom:
+            place = np.uint64(shift + y)
+            row = np.uint64(top - y)
+            inside = simple and (x >= left[place]) & (x <= right[place])
+            near = 0 if inside else 255 - weight
+            band[row, column] = blend(band[row, column], rgb, near)
         y += 1
-        if y <= top and (not simple or x < left[shift + y] or x > right[shift + y]):
-            band[top - y, x] = blend(band[top - y, x], rgb, weight)
+        if y <= top:
+            place = np.uint64(shift + y)
+            row = np.uint64(top - y)
+            inside = simple and (x >= left[place]) & (x <= right[place])
+            far = 0 if inside else weight
+            band[row, column] = blend(band[row, column], rgb, far)
     for group in range(BAND_OUT):
         a, b = steps_in_rows(slope, steps, top - 8 * (group + 1) - 1 - y0, top - 8 * group - y0)
         if a <= b:
@@ -420,37 +447,63 @@ def steps_in_rows(slope, steps, low, high):
 
 
 @compiled
-def draw_polygon(scratch, xs, ys, corners, rgb, top):
-    """Fill, as `draw.polygon` does, what a polygon of the car has in the band from `top` on."""
-    if corners == 0:
-        return
-    low = ys[0]
-    high = ys[0]
-    first = xs[0]
-    last = xs[0]
-    for i in range(1, corners):
-        low = min(low, ys[i])
-        high = max(high, ys[i])
-        first = min(first, xs[i])
-        last = max(last, xs[i])
-    low = max(low, top - BAND_ROWS + 1)
-    high = min(high, top)
-    if low > high:
-        return
-    runs = scratch.runs
-    for y in range(low, high + 1):
-        for i in range(polygon_row(xs, ys, corners, y, runs)):
-            fill_run(scratch.band, top - y, runs[2 * i], runs[2 * i + 1], rgb)
-    mark(scratch.mixed, group_of(top - high), last_group_of(top - low), first, last)
+def list_car_runs(xs, ys, corners, colours, runs, car_runs):
+    """
+    List the runs of pixels that `draw.polygon` fills for the car, in drawing order.
+
+    Args:
+        xs: int64 (m, MAX_CORNERS): corners of the polygons.
+        ys: int64 (m, MAX_CORNERS).
+        corners: int64 (m,): how many corners each has; 0 hides it.
+        colours: uint32 (m,).
+        runs: int64 (4 * MAX_CORNERS,), scratch.
+        car_runs: int64 (n, 4), written: y, first pixel, last pixel, colour.
+
+    Returns:
+        How many runs there are, and the lowest and highest y among them.
+    """
+    count = 0
+    lowest = HEIGHT
+    highest = -1
+    for polygon in range(xs.shape[0]):
+        if corners[polygon] == 0:
+            continue
+        low = high = ys[polygon, 0]
+        for i in range(1, corners[polygon]):
+            low = min(low, ys[polygon, i])
+            high = max(high, ys[polygon, i])
+        for y in range(low, high + 1):
+            found = polygon_row(xs, ys, polygon, corners[polygon], low, high, y, runs)
+            for i in range(found):
+                if count < car_runs.shape[0]:
+                    car_runs[count, 0] = y
+                    car_runs[count, 1] = runs[2 * i]
+                    car_runs[count, 2] = runs[2 * i + 1]
+                    car_runs[count, 3] = colours[polygon]
+                    count += 1
+        lowest = min(lowest, low)
+        highest = max(highest, high)
+    return count, lowest, highest
 
 
 @compiled
-def draw_panel(scratch, bars, bar_colours, text, text_x, text_y, first_row):
+def draw_car(band, mixed, car_runs, count, top):
+    """Draw the `count` runs of the car that lie in the band whose first row is `top`."""
+    for i in range(count):
+        row = top - car_runs[i, 0]
+        if 0 <= row < BAND_ROWS:
+            fill_run(band, row, car_runs[i, 1], car_runs[i, 2], np.uint32(car_runs[i, 3]))
+            mark(mixed, group_of(row), last_group_of(row), car_runs[i, 1], car_runs[i, 2])
+
+
+@compiled
+def draw_panel(band, mixed, bars, bar_colours, text, text_x, text_y, first_row):
     """
     Draw the bars and the score that lie in the band whose first row from the top is `first_row`.
 
     Args:
-        scratch: The band.
+        band: uint32 (BAND_ROWS, WIDTH), changed.
+        mixed: uint8 (BAND_OUT, OUT), changed.
         bars: int64 (n, 4): first and last pixel, first and last row from the top.
         bar_colours: uint32 (n,).
         text: uint32 (height, width): the score.
@@ -458,8 +511,6 @@ def draw_panel(scratch, bars, bar_colours, text, text_x, text_y, first_row):
         text_y: First row of the score from the top.
         first_row: First row of the band from the top.
     """
-    band = scratch.band
-    mixed = scratch.mixed
     for i in range(bars.shape[0]):
         low = max(bars[i, 2], first_row) - first_row
         high = min(bars[i, 3], first_row + BAND_ROWS - 1) - first_row
@@ -477,18 +528,26 @@ def draw_panel(scratch, bars, bar_colours, text, text_x, text_y, first_row):
 
 
 @compiled
-def shrink_band(scratch, index, out):
+def shrink_band(band, mixed, index, out):
     """
     Shrink the band `index` to rows 3 * index to 3 * index + 2 of `out`.
 
     Args:
-        scratch: The band and its mixed windows.
+        band: uint32 (BAND_ROWS, WIDTH).
+        mixed: uint8 (BAND_OUT, OUT): windows that may hold more than one colour.
         index: Which band, from the top.
         out: uint8 (96, 96, 3), written.
     """
-    band = scratch.band
-    mixed = scratch.mixed
-    even = np.uint32(0x00FF00FF)
+    # Unsigned 64-bit numbers throughout: Numba takes a mixture of signs for floating point.
+    even = np.uint64(0x00FF00FF)
+    middle = np.uint64(0x0000FF00)
+    byte = np.uint64(0xFF)
+    low16 = np.uint64(0xFFFF)
+    one = np.uint64(1)
+    n8 = np.uint64(8)
+    n16 = np.uint64(16)
+    x_reciprocal = np.uint64(_X_RECIPROCAL)
+    y_reciprocal = np.uint64(_Y_RECIPROCAL)
     flat_of = np.uint32(0xFFFFFFFF)
     flat_r = np.uint8(0)
     flat_g = np.uint8(0)
@@ -497,6 +556,8 @@ def shrink_band(scratch, index, out):
         i = index * BAND_OUT + group
         first_row = _Y_FIRST[i] - index * BAND_ROWS
         last_row = _Y_LAST[i] - index * BAND_ROWS
+        top_weight = np.uint64(4 * _Y_FIRST_WEIGHT[i])
+        bottom_weight = np.uint64(4 * _Y_LAST_WEIGHT[i])
         for j in range(OUT):
             if not mixed[group, j]:
                 pixel = band[last_row, _X_LAST[j]]
@@ -511,52 +572,55 @@ def shrink_band(scratch, index, out):
                 continue
             first = _X_FIRST[j]
             last = _X_LAST[j]
-            first_weight = np.uint32(4 * _X_FIRST_WEIGHT[j])
-            last_weight = np.uint32(4 * _X_LAST_WEIGHT[j])
-            red = np.uint32(0)
-            green = np.uint32(0)
-            blue = np.uint32(0)
-            for row in range(first_row, last_row + 1):
-                rb = np.uint32(0)
-                g = np.uint32(0)
-                for x in range(first + 1, last):
-                    pixel = band[row, x]
+            first_weight = np.uint64(4 * _X_FIRST_WEIGHT[j])
+            last_weight = np.uint64(4 * _X_LAST_WEIGHT[j])
+            red = np.uint64(0)
+            green = np.uint64(0)
+            blue = np.uint64(0)
+            start = np.uint64(first + 1)
+            stop = np.uint64(last)
+            for row in range(np.uint64(first_row), np.uint64(last_row + 1)):
+                # Red and blue in one sum, green in the other; neither overflows its 16 bits.
+                rb = np.uint64(0)
+                g = np.uint64(0)
+                for x in range(start, stop):
+                    pixel = np.uint64(band[row, x])
                     rb += pixel & even
-                    g += (pixel >> np.uint32(8)) & np.uint32(255)
-                a = band[row, first]
-                b = band[row, last]
+                    g += pixel & middle
+                a = np.uint64(band[row, start - one])
+                b = np.uint64(band[row, stop])
                 r = (
-                    (rb >> np.uint32(16))
-                    + ((a >> np.uint32(16)) * first_weight >> np.uint32(16))
-                    + ((b >> np.uint32(16)) * last_weight >> np.uint32(16))
+                    (rb >> n16)
+                    + ((a >> n16) * first_weight >> n16)
+                    + ((b >> n16) * last_weight >> n16)
                 )
-                g += (((a >> np.uint32(8)) & np.uint32(255)) * first_weight >> np.uint32(16)) + (
-                    ((b >> np.uint32(8)) & np.uint32(255)) * last_weight >> np.uint32(16)
+                g = (
+                    (g >> n8)
+                    + (((a >> n8) & byte) * first_weight >> n16)
+                    + (((b >> n8) & byte) * last_weight >> n16)
                 )
                 bl = (
-                    (rb & np.uint32(0xFFFF))
-                    + ((a & np.uint32(255)) * first_weight >> np.uint32(16))
-                    + ((b & np.uint32(255)) * last_weight >> np.uint32(16))
+                    (rb & low16)
+                    + ((a & byte) * first_weight >> n16)
+                    + ((b & byte) * last_weight >> n16)
                 )
-                r = r * np.uint32(_X_RECIPROCAL) >> np.uint32(16)
-                g = g * np.uint32(_X_RECIPROCAL) >> np.uint32(16)
-                bl = bl * np.uint32(_X_RECIPROCAL) >> np.uint32(16)
+                r = r * x_reciprocal >> n16
+                g = g * x_reciprocal >> n16
+                bl = bl * x_reciprocal >> n16
                 if row == first_row:
-                    weight = np.uint32(4 * _Y_FIRST_WEIGHT[i])
-                    r = r * weight >> np.uint32(16)
-                    g = g * weight >> np.uint32(16)
-                    bl = bl * weight >> np.uint32(16)
+                    r = r * top_weight >> n16
+                    g = g * top_weight >> n16
+                    bl = bl * top_weight >> n16
                 elif row == last_row:
-                    weight = np.uint32(4 * _Y_LAST_WEIGHT[i])
-                    r = r * weight >> np.uint32(16)
-                    g = g * weight >> np.uint32(16)
-                    bl = bl * weight >> np.uint32(16)
+                    r = r * bottom_weight >> n16
+                    g = g * bottom_weight >> n16
+                    bl = bl * bottom_weight >> n16
                 red += r
                 green += g
                 blue += bl
-            out[i, j, 0] = red * np.uint32(_Y_RECIPROCAL) >> np.uint32(16)
-            out[i, j, 1] = green * np.uint32(_Y_RECIPROCAL) >> np.uint32(16)
-            out[i, j, 2] = blue * np.uint32(_Y_RECIPROCAL) >> np.uint32(16)
+            out[i, j, 0] = red * y_reciprocal >> n16
+            out[i, j, 1] = green * y_reciprocal >> n16
+            out[i, j, 2] = blue * y_reciprocal >> n16
 
 
 @compiled
@@ -609,8 +673,15 @@ def draw_frame(
     else:
         ground = np.uint32(0)
         shown = prepare_quads(quads, places, colours, view, True, scratch)
+    car_count, car_low, car_high = list_car_runs(
+        car_x, car_y, car_corners, car_colours, scratch.runs, scratch.car_runs
+    )
     band = scratch.band
     mixed = scratch.mixed
+    edges = scratch.edges
+    rows = scratch.rows
+    left = scratch.left
+    right = scratch.right
     for index in range(BANDS):
         mixed[:, :] = 0
         if index >= BANDS - PANEL_BANDS:
@@ -620,22 +691,24 @@ def draw_frame(
             top = HEIGHT - 1 - index * BAND_ROWS
             bottom = top - BAND_ROWS + 1
             for quad in range(shown):
-                low = max(scratch.rows[quad, 0], bottom)
-                high = min(scratch.rows[quad, 1], top)
+                low = max(rows[quad, 0], bottom)
+                high = min(rows[quad, 1], top)
                 if low > high:
                     continue
                 rgb = scratch.rgb[quad]
-                if scratch.rows[quad, 3]:
-                    fill_simple_quad(scratch, quad, top, low, high, rgb)
-                else:
-                    # Folded quads are rare; they are drawn in SDL_gfx's own order.
-                    for k in range(4):
-                        draw_edge(scratch, quad, scratch.edges[quad, k], top, rgb)
-                    fill_split_quad(scratch, quad, top, low, high, rgb)
-                    continue
-                for k in range(4):
-                    draw_edge(scratch, quad, scratch.edges[quad, k], top, rgb)
-            for i in range(car_x.shape[0]):
-                draw_polygon(scratch, car_x[i], car_y[i], car_corners[i], car_colours[i], top)
-        draw_panel(scratch, bars, bar_colours, text, text_x, text_y, index * BAND_ROWS)
-        shrink_band(scratch, index, out)
+                shift = rows[quad, 2] - rows[quad, 0]
+                simple = rows[quad, 3] != 0
+                if simple:
+                    fill_simple_quad(band, mixed, left, right, shift, top, low, high, rgb)
+                for side in range(4):
+                    draw_edge(
+                        band, mixed, edges, quad, side, left, right, shift, simple, top, rgb
+                    )
+                if not simple:
+                    xs = scratch.corners_x[quad]
+                    ys = scratch.corners_y[quad]
+                    fill_split_quad(band, mixed, xs, ys, scratch.runs, top, low, high, rgb)
+            if bottom <= car_high and car_low <= top:
+                draw_car(band, mixed, scratch.car_runs, car_count, top)
+        draw_panel(band, mixed, bars, bar_colours, text, text_x, text_y, index * BAND_ROWS)
+        shrink_band(band, mixed, index, out)

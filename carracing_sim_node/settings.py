@@ -37,7 +37,7 @@ class SimulatorSettings:
     zoom: bool = setting(True, 'false: variant without the zoom of the first second')
     domain_randomize: bool = setting(False, "true: gymnasium's variant with random colours")
     renderer: str = setting(
-        'auto', 'fast: ours; stock: gymnasium\'s; auto: fast where it is proven',
+        'auto', "fast: ours; stock: gymnasium's; auto: fast where it is proven",
         choices=('auto', 'fast', 'stock'))
     answer_timeout: float = setting(
         1.0, 'lockstep: seconds of wall time to wait for a twist before on_timeout',
