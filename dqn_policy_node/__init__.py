@@ -1,0 +1,27 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""From image to twist: network, preprocessing, action sets and model folders."""
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+# imported on first use, because torch takes a second to load
+_PLACES = {
+    'ACTION_SETS': 'action_sets',
+    'ModelDescription': 'model_description',
+    'ModelError': 'errors',
+    'Policy': 'policy',
+    'RandomPolicy': 'policy',
+    'find_model': 'share',
+    'load_policy': 'policy',
+    'share_path': 'share',
+}
+
+__all__ = list(_PLACES)
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _PLACES:
+        raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
+    return getattr(importlib.import_module(f'{__name__}.{_PLACES[name]}'), name)

@@ -1,0 +1,199 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""Policies: frames in, actions out, with their own stacking and action repeat."""
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+
+from dqn_policy_node.action_sets import ActionSet
+from dqn_policy_node.errors import ModelError
+from dqn_policy_node.frame_stack import FrameStack
+from dqn_policy_node.model_description import ModelDescription
+from dqn_policy_node.model_folder import load_model
+from dqn_policy_node.network import QNetwork
+from dqn_policy_node.preprocessing import Preprocessor
+from dqn_policy_node.weights_message import WeightsUpdate
+from msgs_bridge.twists import Action
+
+
+class Decision(NamedTuple):
+    """
+    One choice of a policy.
+
+    Attributes:
+        index: place of the action in the action set.
+        action: steer, gas and brake.
+        q_values: float32 (actions,), or None when nothing computed them.
+        explored: whether it was drawn at random.
+    """
+
+    index: int
+    action: Action
+    q_values: np.ndarray | None
+    explored: bool
+
+
+class _HeldAction:
+    """What all policies share: an action is decided on and then held for some frames."""
+
+    action_set: ActionSet
+    action_repeat: int
+
+    def __init__(self) -> None:
+        self._held: Action | None = None
+        self._frames_left = 0
+
+    @property
+    def action_names(self) -> tuple[str, ...]:
+        """Return the name of each action."""
+        return self.action_set.names
+
+    def act(self, frame: np.ndarray) -> tuple[float, float, float]:
+        """
+        Return steer, gas and brake for one simulator step.
+
+        Args:
+            frame: uint8 (96, 96, 3) rgb, one for every simulator step (50 a second). Those in
+                which an action is held are not looked at.
+        """
+        if self._frames_left == 0:
+            self._held = self.decide(frame).action
+            self._frames_left = self.action_repeat
+        self._frames_left -= 1
+        return tuple(self._held)
+
+    def decide(self, frame: np.ndarray) -> Decision:
+        """Return the decision on a frame."""
+        raise NotImplementedError
+
+
+class Policy(_HeldAction):
+    """
+    Acts epsilon-greedily by a Q-network.
+
+    Attributes:
+        description: what the model is.
+        epsilon: share of random actions, 0 = always the best.
+        gas_weight: how much likelier than others a random action is one with gas.
+        version: version of the weights.
+    """
+
+    def __init__(
+        self, description: ModelDescription, *, device: str = 'cpu', seed: int | None = None,
+    ) -> None:
+        """Make a policy with random weights; `seed` is that of its exploration."""
+        super().__init__()
+        self.description = description
+        self.action_set = description.action_set
+        self.action_repeat = description.action_repeat
+        self.epsilon = 0.0
+        self.gas_weight = 1.0
+        self.version = 0
+        self._device = torch.device(device)
+        self._network = QNetwork(description).to(self._device).eval()
+        self._network.requires_grad_(False)
+        self._preprocess = Preprocessor(description.preprocessing)
+        self._stack = FrameStack(description.frame_stack, description.preprocessing.shape)
+        self._random = np.random.default_rng(seed)
+        self._has_gas = np.array([action.gas > 0 for action in self.action_set.actions])
+
+    def reset(self, seed: int | None = None) -> None:
+        """Start an episode: forget frames and held action; a seed restarts the exploration."""
+        self._stack.reset()
+        self._held, self._frames_left = None, 0
+        if seed is not None:
+            self._random = np.random.default_rng(seed)
+
+    def decide(self, frame: np.ndarray) -> Decision:
+        """
+        Push a frame on the stack and choose an action.
+
+        Args:
+            frame: uint8 (96, 96, 3) rgb.
+
+        Raises:
+            MessageError: the frame has another shape or type.
+        """
+        q_values = self.q_values(self._stack.push(self._preprocess(frame)))
+        explored = self.epsilon > 0 and self._random.random() < self.epsilon
+        index = self._random_index() if explored else int(q_values.argmax())
+        return Decision(index, self.action_set.actions[index], q_values, bool(explored))
+
+    @torch.inference_mode()
+    def q_values(self, pictures: np.ndarray) -> np.ndarray:
+        """Return the Q-values, float32 (actions,), of a stack, uint8 (stack, H, W)."""
+        batch = torch.from_numpy(pictures).unsqueeze(0).to(self._device)
+        return self._network(batch)[0].cpu().numpy()
+
+    def swap_weights(self, update: WeightsUpdate) -> None:
+        """
+        Act by other weights from the next decision on; frames and held action stay.
+
+        Raises:
+            ModelError: they are for another model.
+        """
+        if update.description != self.description:
+            difference = update.description.differences(self.description)[0]
+            raise ModelError(f'weights are for another model: {difference}')
+        self._network.load_state_dict(update.tensors)
+        self.version = update.version
+        self.epsilon = update.epsilon
+        self.gas_weight = update.gas_weight
+
+    def _random_index(self) -> int:
+        if self.gas_weight == 1:
+            return int(self._random.integers(len(self.action_set)))
+        weights = np.where(self._has_gas, self.gas_weight, 1.0)
+        return int(np.searchsorted(
+            np.cumsum(weights) / weights.sum(), self._random.random(), side='right'))
+
+
+class RandomPolicy(_HeldAction):
+    """Draws every action uniformly: the report's dummy agent (3.2.3)."""
+
+    def __init__(
+        self, action_set: ActionSet, *, action_repeat: int = 1, seed: int | None = None,
+    ) -> None:
+        """Draw from a set, a new action every `action_repeat` frames."""
+        super().__init__()
+        self.action_set = action_set
+        self.action_repeat = action_repeat
+        self.epsilon = 1.0
+        self.version = 0
+        self.description = None
+        self._random = np.random.default_rng(seed)
+
+    def reset(self, seed: int | None = None) -> None:
+        """Start an episode; a seed restarts the draws."""
+        self._held, self._frames_left = None, 0
+        if seed is not None:
+            self._random = np.random.default_rng(seed)
+
+    def decide(self, frame: np.ndarray) -> Decision:
+        """Draw an action whatever the frame shows."""
+        index = int(self._random.integers(len(self.action_set)))
+        return Decision(index, self.action_set.actions[index], None, True)
+
+
+def load_policy(
+    folder: Path | str, device: str = 'cpu', *, seed: int | None = None,
+) -> Policy:
+    """
+    Return the greedy policy of a model folder.
+
+    Args:
+        folder: folder with `model.json` and `weights.safetensors`.
+        device: where to compute, as PyTorch names it.
+        seed: seed of the exploration, for when `epsilon` is raised.
+
+    Raises:
+        ModelError: the folder cannot be used; the text names the file and what is wrong.
+    """
+    model = load_model(folder)
+    policy = Policy(model.description, device=device, seed=seed)
+    policy.swap_weights(WeightsUpdate(model.tensors, model.description, model.version))
+    return policy

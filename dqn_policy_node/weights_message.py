@@ -1,0 +1,111 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""The `weights` topic: a safetensors image with version, epsilon, description and hash."""
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from typing import Any
+
+import torch
+
+from dqn_policy_node.errors import ModelError
+from dqn_policy_node.model_description import ModelDescription
+from dqn_policy_node.safetensors_image import pack, read_metadata, tensors_sha256, unpack
+
+FORMAT = 'carracing_dqn weights 1'
+
+
+@dataclasses.dataclass(frozen=True)
+class WeightsUpdate:
+    """
+    Weights of one version and how to act with them.
+
+    Attributes:
+        tensors: name -> float32 weights.
+        description: the model they belong to.
+        version: number of the version, rising.
+        epsilon: share of random actions, 0 to 1.
+        gas_weight: how much likelier than others a random action is one with gas.
+        validate: whether the trainer asks for a validation of this version.
+        extra: further values that the trainer wanted to hand on.
+    """
+
+    tensors: dict[str, torch.Tensor]
+    description: ModelDescription
+    version: int
+    epsilon: float = 0.0
+    gas_weight: float = 1.0
+    validate: bool = False
+    extra: dict[str, Any] = dataclasses.field(default_factory=dict)
+
+
+def encode_weights(
+    tensors: dict[str, torch.Tensor],
+    description: ModelDescription,
+    *,
+    version: int,
+    epsilon: float = 0.0,
+    gas_weight: float = 1.0,
+    validate: bool = False,
+    extra: dict[str, Any] | None = None,
+) -> bytes:
+    """Return the bytes to publish; `WeightsUpdate` describes the values."""
+    values = {'version': version, 'epsilon': epsilon, 'gas_weight': gas_weight,
+              'validate': validate, 'extra': extra or {}}
+    return pack(tensors, {
+        'format': FORMAT,
+        'values': json.dumps(values),
+        'description': description.to_text(),
+        'description_sha256': description.sha256(),
+        'sha256': tensors_sha256(tensors),
+    })
+
+
+def read_description(data: bytes) -> ModelDescription:
+    """Return the description inside a weights image; raises ModelError."""
+    metadata = read_metadata(data)
+    if metadata.get('format') != FORMAT:
+        raise ModelError(f'weights format {metadata.get("format")!r}; expected {FORMAT!r}')
+    try:
+        return ModelDescription.from_json(json.loads(metadata['description']))
+    except (KeyError, ValueError, TypeError, RecursionError) as error:
+        if isinstance(error, ModelError):
+            raise
+        raise ModelError(f'weights image without a readable description: {error}') from None
+
+
+def decode_weights(data: bytes, description: ModelDescription | None = None) -> WeightsUpdate:
+    """
+    Check and read a weights image.
+
+    Args:
+        data: what came over the topic.
+        description: the model it has to be for; None takes the one it brings.
+
+    Raises:
+        ModelError: the image is damaged, for another model, or its values are not accepted.
+    """
+    own = read_description(data)
+    if description is not None and own != description:
+        raise ModelError(f'weights are for another model: {own.differences(description)[0]}')
+    metadata = read_metadata(data)
+    tensors = unpack(data, own)
+    if tensors_sha256(tensors) != metadata.get('sha256'):
+        raise ModelError('weights image is damaged: its hash does not match its weights')
+    try:
+        values = json.loads(metadata['values'])
+        version, validate, extra = values['version'], values['validate'], values['extra']
+        epsilon, gas_weight = float(values['epsilon']), float(values['gas_weight'])
+    except (KeyError, ValueError, TypeError, RecursionError) as error:
+        raise ModelError(f'weights image without readable values: {error}') from None
+    if type(version) is not int or not 0 <= version < 2**53:
+        raise ModelError(f'weights version {version!r}; accepted: whole numbers from 0')
+    if not 0 <= epsilon <= 1:
+        raise ModelError(f'weights epsilon {epsilon!r}; accepted: 0 to 1')
+    if not (math.isfinite(gas_weight) and 0 < gas_weight <= 1000):
+        raise ModelError(f'weights gas_weight {gas_weight!r}; accepted: above 0, up to 1000')
+    if type(validate) is not bool or not isinstance(extra, dict):
+        raise ModelError('weights image with values of the wrong type')
+    return WeightsUpdate(tensors, own, version, epsilon, gas_weight, validate, extra)
