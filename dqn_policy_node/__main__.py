@@ -1,0 +1,8 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""`python -m dqn_policy_node` runs the node."""
+import sys
+
+from dqn_policy_node.node import main
+
+sys.exit(main())

@@ -1,0 +1,33 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters of dqn_policy_node, each described once."""
+from __future__ import annotations
+
+import dataclasses
+
+from msgs_bridge.settings import setting
+
+
+@dataclasses.dataclass(frozen=True)
+class PolicySettings:
+    """What can be set on the policy node."""
+
+    model: str = setting(
+        'racing', 'model folder or name of a shipped model; random: uniform random actions (the '
+        'dummy agent of seed document 3.2.3); empty: wait for the first message on weights')
+    hot_swap: bool = setting(True, 'take new weights from the weights topic')
+    explore: bool = setting(
+        False, 'true: follow the epsilon that comes with the weights (training)')
+    epsilon: float = setting(
+        0.0, 'share of uniform random actions (epsilon-greedy), unless explore is on',
+        low=0.0, high=1.0, live=True)
+    seed: int = setting(0, 'seed of the random actions', low=0, high=2**31 - 1)
+    cmd_vel_stamped: bool = setting(
+        True, 'false: publish a plain Twist, for simulators that know no other')
+    scene_gap: float = setting(
+        0.5, 'seconds between two stamps from which on the frame stack starts anew',
+        low=0.05, high=60.0)
+    stale_after: float = setting(
+        0.0, 'seconds of wall time without an image after which one zero twist is sent; 0 = never '
+        '(our simulator has a guard of its own)', low=0.0, high=60.0)
+    device: str = setting('auto', 'where the network runs', choices=('auto', 'cpu', 'cuda'))

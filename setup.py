@@ -1,0 +1,79 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""The ament_python package; what `ros2 run` and `carracing` start is listed here."""
+from pathlib import Path
+
+from setuptools import setup
+
+NAME = 'carracing_dqn'
+PACKAGES = [
+    'msgs_bridge', 'carracing_sim_node', 'dqn_policy_node', 'trainer_node', 'bags', 'evaluation',
+    'bringup', 'benchmarks',
+]
+SHARED = ('launch', 'config', 'models')
+
+
+def shared_files():
+    """Return data_files entries that lay the shared folders below share/carracing_dqn."""
+    for folder in SHARED:
+        for path in sorted(Path(folder).rglob('*')):
+            if path.is_file() and '__pycache__' not in path.parts:
+                yield f'share/{NAME}/{path.parent}', [str(path)]
+
+
+setup(
+    name=NAME,
+    version='0.1.0',
+    description='A ROS 2 stack that learns to race',
+    long_description=Path('README.md').read_text(encoding='utf-8'),
+    long_description_content_type='text/markdown',
+    license='Apache-2.0',
+    maintainer='The carracing_dqn authors',
+    maintainer_email='maintainers@carracing-dqn.org',
+    packages=PACKAGES,
+    package_data={'evaluation': ['*.html', '*.j2', '*.css']},
+    data_files=[
+        ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
+        (f'share/{NAME}', ['package.xml']),
+        *shared_files(),
+    ],
+    python_requires='>=3.10',
+    install_requires=[
+        'setuptools',
+        'gymnasium[box2d]==1.4.0',
+        'imageio[pyav]',
+        'jinja2',
+        'lz4',
+        'matplotlib',
+        'mcap',
+        'numba',
+        'numpy',
+        'psutil',
+        'pyyaml',
+        'rich',
+        'rosbags',
+        'safetensors',
+        'torch',
+        'zstandard',
+    ],
+    extras_require={
+        # rclpy and the messages as wheels, for machines without an installed ROS
+        'wheels': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
+        'test': ['hypothesis', 'mcap-ros2-support', 'pytest', 'ruff'],
+        'tensorboard': ['tensorboard'],
+        'bench': ['envpool', 'stable-baselines3'],
+    },
+    tests_require=['pytest'],
+    zip_safe=True,
+    entry_points={
+        'console_scripts': [
+            'carracing = bringup.command:main',
+            'carracing_sim_node = carracing_sim_node.node:main',
+            'dqn_policy_node = dqn_policy_node.node:main',
+            'trainer_node = trainer_node.node:main',
+            'validation_node = evaluation.node:main',
+            'bag_recorder_node = bags.recorder_node:main',
+            'bag_player_node = bags.player_node:main',
+        ],
+    },
+)

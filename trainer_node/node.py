@@ -1,0 +1,224 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+trainer_node: transitions in, better weights out.
+
+Purpose: join `image_raw`, `step` and `cmd_vel` into transitions, learn from them, publish weights.
+
+Subscribes: `image_raw`, `step`, `cmd_vel`, `validation`. Publishes: `weights`, `/diagnostics`.
+Services: `~/save`, `~/evaluate` (std_srvs/Trigger). Calls: `~/pause` of the simulator.
+Parameters: `trainer_node/settings.py`, hyperparameters in `trainer_node/hyperparameters.py`.
+
+Behaviour when things go wrong: a message that cannot be used is counted and logged (throttled); a
+transition with a lost part is dropped and counted; on any error or signal everything is saved and
+the log says where, or that it could not be saved (seed document 4.2.2).
+"""
+from __future__ import annotations
+
+import queue
+import sys
+import threading
+import time
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from msgs_bridge import topics
+from msgs_bridge.errors import BridgeError
+from msgs_bridge.images import image_to_array
+from msgs_bridge.named_values import read_named_values
+from msgs_bridge.node_shell import Finished, NodeShell, run_node
+from msgs_bridge.stamps import to_nanoseconds
+from msgs_bridge.step_fields import STEP_FIELDS, VALIDATION_FIELDS
+from msgs_bridge.transitions import Transition, TransitionJoiner
+from msgs_bridge.twists import twist_to_action
+from std_msgs.msg import UInt8MultiArray
+from std_srvs.srv import SetBool, Trigger
+from trainer_node.settings import TrainerSettings
+from trainer_node.training import open_training
+
+# A snapshot for the diagnostics is taken by the learning thread, every so many transitions.
+STATUS_EVERY = 20
+
+
+class TrainerNode(NodeShell):
+    """
+    The trainer as a node.
+
+    The ROS thread joins messages and fills a queue; the learning thread owns `training` and
+    takes everything, transitions and requests alike, from that queue in order.
+    """
+
+    def __init__(self) -> None:
+        """Declare parameters, create or resume the run and start to learn."""
+        super().__init__('trainer_node', TrainerSettings)
+        settings = self.settings
+        self._training = open_training(
+            settings.run, preset=settings.preset, overrides=settings.overrides,
+            resume=settings.resume, tensorboard=settings.tensorboard)
+        self._joiner = TransitionJoiner()
+        self._queue: queue.SimpleQueue[object] = queue.SimpleQueue()
+        self._status = self._training.status()
+        self._failure: Exception | None = None
+        self._complete = False
+        self._pausing = False
+        self._stopping = threading.Event()
+        self._weights_publisher = self.publisher(topics.WEIGHTS)
+        self.subscription(topics.IMAGE, self._on_image, depth=topics.STALL_DEPTH)
+        self.subscription(topics.STEP, self._on_step)
+        self.subscription(topics.CMD_VEL, self._on_twist)
+        self.subscription(topics.VALIDATION, self._on_validation)
+        self.create_service(Trigger, '~/save', self._on_save)
+        self.create_service(Trigger, '~/evaluate', self._on_evaluate)
+        self._pause = self.create_client(SetBool, f'{settings.simulator}/pause')
+        self._learner_called = self.create_guard_condition(self._on_learner)
+        self._publish_weights(validate=False)
+        self._learning = threading.Thread(target=self._learn, name='learning')
+        self._learning.start()
+        self.get_logger().info(f'learning into {settings.run}')
+
+    # --- ROS thread: messages to transitions
+
+    def _on_image(self, message: object) -> None:
+        frame = image_to_array(message)
+        self._put(self._joiner.add_image(to_nanoseconds(message.header.stamp), frame))
+
+    def _on_step(self, message: object) -> None:
+        facts = read_named_values(message, STEP_FIELDS)
+        self._put(self._joiner.add_step(to_nanoseconds(message.header.stamp), facts))
+
+    def _on_twist(self, message: object) -> None:
+        action, _ = twist_to_action(message.twist)
+        self._put(self._joiner.add_twist(to_nanoseconds(message.header.stamp), action))
+
+    def _put(self, transitions: list[Transition]) -> None:
+        for transition in transitions:
+            self._queue.put(transition)
+        if not self._pausing and self._queue.qsize() > self.settings.queue_limit:
+            self._set_pause(True)
+
+    def _on_validation(self, message: object) -> None:
+        self._queue.put(read_named_values(message, VALIDATION_FIELDS))
+
+    def _set_pause(self, pause: bool) -> None:
+        """Hold the simulator back, or let it go on: the limiter of the replay ratio."""
+        if not self._pause.service_is_ready():
+            return
+        self._pausing = pause
+        self.counts['pauses'] += pause
+        self._pause.call_async(SetBool.Request(data=pause))
+
+    def _on_learner(self) -> None:
+        """Answer the learning thread: it has caught up, is complete, or has failed."""
+        if self._failure is not None:
+            raise BridgeError(f'learning stopped: {self._failure}') from self._failure
+        if self._complete:
+            raise Finished
+        if self._pausing and self._queue.qsize() <= self.settings.queue_limit // 4:
+            self._set_pause(False)
+
+    def _on_save(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._queue.put('save')
+        response.success = True
+        response.message = f'saving into {self.settings.run}'
+        return response
+
+    def _on_evaluate(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._queue.put('validate')
+        response.success = True
+        response.message = 'weights go out for validation; the result comes on validation'
+        return response
+
+    # --- learning thread
+
+    def _learn(self) -> None:
+        try:
+            self._learn_until_stopped()
+        except Exception as error:  # the failsafe must see every kind of error
+            self._failure = error
+            self.get_logger().error(f'learning stopped: {type(error).__name__}: {error}')
+        self._learner_called.trigger()
+
+    def _learn_until_stopped(self) -> None:
+        training = self._training
+        saved_at = time.monotonic()
+        waiting_for, give_up_at = None, 0.0
+        taken = 0
+        while not (self._stopping.is_set() and self._queue.empty()):
+            try:
+                item = self._queue.get(timeout=0.2)
+            except queue.Empty:
+                item = None
+            if isinstance(item, Transition) and waiting_for is None:
+                training.add(item)
+                taken += 1
+                if taken % STATUS_EVERY == 0:
+                    self._status = training.status()
+            elif isinstance(item, dict):
+                training.record_validation(item)
+                if waiting_for is not None and item['version'] >= waiting_for:
+                    break
+            elif item == 'validate':
+                self._publish_weights(validate=True)
+            now = time.monotonic()
+            if item == 'save' or now - saved_at > self.settings.checkpoint_seconds:
+                self.get_logger().info(f'saved {training.save()}')
+                saved_at = time.monotonic()
+            if self._pausing and self._queue.qsize() <= self.settings.queue_limit // 4:
+                self._learner_called.trigger()
+            if training.weights_due():
+                self._publish_weights(validate=training.validation_due())
+            if waiting_for is not None:
+                if now > give_up_at:
+                    self.get_logger().warn('no validation of the last weights came in time')
+                    break
+            elif self._over(training):
+                if not self.settings.last_validation_seconds or self._stopping.is_set():
+                    break
+                waiting_for = self._publish_weights(validate=True)
+                give_up_at = now + self.settings.last_validation_seconds
+        self._complete = self._over(training) and not self._stopping.is_set()
+
+    def _over(self, training: object) -> bool:
+        minutes = self.settings.minutes
+        return training.finished or 0 < minutes * 60 <= training.wall_seconds
+
+    def _publish_weights(self, *, validate: bool) -> int:
+        """Send the acting weights; return their version."""
+        data = self._training.weights_message(validate=validate)
+        if self.context.ok():
+            message = UInt8MultiArray()
+            # a buffer is copied at once; a list would be copied byte by byte
+            message.data = data
+            self._weights_publisher.publish(message)
+        return self._training.version
+
+    # --- both
+
+    def health(self) -> tuple[bytes, str, dict[str, object]]:
+        """Return the state of learning and of the joiner."""
+        values = {**self._status, 'queue': self._queue.qsize(), 'pausing': self._pausing}
+        values.update({f'transitions_{name}': n for name, n in self._joiner.counts.items() if n})
+        if self._failure is not None:
+            return DiagnosticStatus.ERROR, f'failed: {self._failure}', values
+        return DiagnosticStatus.OK, 'learning', values
+
+    def close(self) -> None:
+        """Finish the update under way, then save everything or say that it could not be."""
+        self._stopping.set()
+        self._learning.join()
+        try:
+            saved = self._training.save()
+            if self._complete:
+                self._training.finish()
+            self.get_logger().info(f'saved {saved}')
+        except (OSError, BridgeError) as error:
+            sys.stderr.write(f'error: the run could NOT be saved: {error}\n')
+        self._training.close()
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node until it is stopped or the run is complete."""
+    return run_node(TrainerNode, args)
+
+
+if __name__ == '__main__':
+    sys.exit(main())
