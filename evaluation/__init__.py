@@ -1,0 +1,29 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""Greedy laps, statistics, figures and the report page; only `node` imports rclpy."""
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+# imported on first use, because gymnasium and matplotlib take their time to load
+_PLACES = {
+    'EvaluationError': 'errors',
+    'Lap': 'laps',
+    'PolicySource': 'policies',
+    'Statistics': 'statistics',
+    'drive_lap': 'laps',
+    'drive_laps': 'laps',
+    'lap_picture': 'lap_picture',
+    'load_run': 'records',
+    'statistics_of': 'statistics',
+    'validate': 'validator',
+}
+
+__all__ = list(_PLACES)
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _PLACES:
+        raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
+    return getattr(importlib.import_module(f'{__name__}.{_PLACES[name]}'), name)
