@@ -1,0 +1,320 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""The recorder: every topic of the graph, as raw bytes, into a rosbag2 MCAP bag."""
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import json
+from operator import itemgetter
+import signal
+import sys
+import threading
+import time
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.callback_groups import CallbackGroup
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.subscription import Subscription
+
+from bags.errors import BagError
+from bags.live_qos import meets, recorded_qos, request_for
+from bags.qos_text import offered_qos
+from bags.recording import Recording
+from bags.settings import ALL, names_of, RecorderSettings
+from bags.writer import BagWriter
+from msgs_bridge.node_shell import message_class, NodeShell, run_node
+from msgs_bridge.topics import TOPICS
+
+# The middleware keeps what arrives between two looks; a look costs the same for one message as
+# the executor's wait set does, so looking at 50 Hz instead of at every message saves most of it.
+POLL_SECONDS = 0.02
+DISCOVERY_SECONDS = 0.2
+# seconds without a message after which a stopped recorder believes that nothing more comes
+QUIET_SECONDS = 0.06
+STOP_SECONDS = 0.6
+
+
+class _PolledGroup(CallbackGroup):
+    """Keeps the recorder's subscriptions out of the executor's wait set; they are polled."""
+
+    def can_execute(self, entity: object) -> bool:
+        return False
+
+    def beginning_execution(self, entity: object) -> bool:
+        return False
+
+    def ending_execution(self, entity: object) -> None:
+        pass
+
+
+@dataclasses.dataclass
+class _Source:
+    """One recorded topic."""
+
+    name: str
+    type_name: str
+    request: Any
+    subscription: Subscription
+    number: int | None = None
+    sequence: int = 0
+    publishers: int = 0
+
+
+class BagRecorderNode(NodeShell):
+    """
+    Record topics to a bag.
+
+    Purpose: a bag with every byte that was published, log time = when it arrived, publish time =
+    when it was sent, QoS as the publishers offer it.
+
+    Subscribes: the topics of the contract from the start, so that nothing is missed, and any
+    other as it appears; `topics` and `exclude` choose.
+
+    Publishes: `/diagnostics`.
+
+    Parameters: `bags.settings.RecorderSettings`.
+
+    Behaviour when things go wrong: an existing folder, a bad parameter or a failing disk ends the
+    node with one line and code 2. Messages that DDS lost on the way (gaps in a single publisher's
+    sequence numbers) are counted and logged. SIGINT and SIGTERM complete the bag.
+    """
+
+    def __init__(self) -> None:
+        """
+        Create the bag and start to record.
+
+        Raises:
+            BagError: the folder exists, or the provenance is not a JSON object.
+        """
+        super().__init__('bag_recorder_node', RecorderSettings)
+        settings = self.settings
+        folder = settings.folder or time.strftime('bag_%Y_%m_%d-%H_%M_%S')
+        self._writer = BagWriter(
+            folder, compression=settings.compression, chunk_bytes=settings.chunk_bytes,
+            chunk_seconds=settings.chunk_seconds, split_bytes=settings.split_bytes,
+            split_seconds=settings.split_seconds,
+            custom_data=parse_provenance(settings.provenance))
+        self._recording = Recording(self._writer, settings.cache_bytes)
+        self._group = _PolledGroup()
+        self._lock = threading.Lock()
+        self._sources: dict[str, _Source] = {}
+        self._held: list[tuple[int, int, int, bytes]] = []
+        self._unknown: set[str] = set()
+        self._full_said = False
+        self._discoveries = 0
+        self._wanted = (
+            None if settings.topics.strip() == ALL
+            else {self.resolve_topic_name(name) for name in names_of(settings.topics)})
+        self._excluded = {self.resolve_topic_name(name) for name in names_of(settings.exclude)}
+        self._stop = threading.Event()
+        self._closed = False
+        self._subscribe_to_contract()
+        self._thread = threading.Thread(target=self._poll_forever, name='bag_poll', daemon=True)
+        self._thread.start()
+        self.create_timer(DISCOVERY_SECONDS, self._discover)
+        names = ', '.join(sorted(self._sources)) or 'nothing yet'
+        self.get_logger().info(f'recording {names} to {self._writer.folder}')
+
+    def health(self) -> tuple[bytes, str, dict[str, object]]:
+        """Return messages, bytes waiting and losses."""
+        level = DiagnosticStatus.OK
+        if self._recording.full or any(key.startswith('lost_') for key in self.counts):
+            level = DiagnosticStatus.WARN
+        return level, 'recording', {
+            'messages': self._writer.message_count,
+            'topics': sum(source.number is not None for source in self._sources.values()),
+            'peak_cache_bytes': self._recording.peak_bytes,
+        }
+
+    def close(self) -> None:
+        """Take what is still under way, complete the bag and say what is in it."""
+        if self._closed:
+            return
+        self._closed = True
+        for number in (signal.SIGINT, signal.SIGTERM):
+            # a second Ctrl-C must not leave a bag without its end
+            with contextlib.suppress(ValueError):
+                signal.signal(number, signal.SIG_IGN)
+        self._stop.set()
+        self._thread.join()
+        deadline = time.monotonic() + STOP_SECONDS
+        quiet = time.monotonic() + QUIET_SECONDS
+        while time.monotonic() < min(deadline, quiet):
+            if self._poll(final=True):
+                quiet = time.monotonic() + QUIET_SECONDS
+            time.sleep(0.005)
+        try:
+            self._recording.close()
+        except BagError as error:
+            sys.stderr.write(f'error: {error}\n')
+            return
+        lost = {key.removeprefix('lost_'): count for key, count in self.counts.items()
+                if key.startswith('lost_')}
+        loss = ', '.join(f'{count} of {topic}' for topic, count in lost.items()) or 'none'
+        sys.stderr.write(
+            f'{self._writer.message_count} messages in {self._writer.folder}; lost: {loss}\n')
+
+    def _wants(self, name: str) -> bool:
+        if name in self._excluded:
+            return False
+        if self._wanted is not None:
+            return name in self._wanted
+        # rosbag2 leaves out hidden topics too
+        return not any(part.startswith('_') for part in name.split('/'))
+
+    def _subscribe_to_contract(self) -> None:
+        for topic in TOPICS:
+            name = self.resolve_topic_name(topic.name)
+            if self._wants(name):
+                offered = offered_qos(reliable=topic.reliable, latched=topic.latched)
+                self._subscribe(name, topic.type_name, [offered])
+
+    def _subscribe(self, name: str, type_name: str, offered: list[dict[str, Any]]) -> None:
+        try:
+            kind = message_class(type_name)
+        except (ImportError, AttributeError, ValueError):
+            if name not in self._unknown:
+                self._unknown.add(name)
+                self.counts['topics_not_recorded'] += 1
+                self.get_logger().error(
+                    f'{name} is not recorded: its type {type_name} is not installed here')
+            return
+        request = request_for(offered, self.settings.depth)
+        subscription = self.create_subscription(
+            kind, name, _unused, request, raw=True, callback_group=self._group,
+            event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False))
+        with self._lock:
+            old = self._sources.get(name)
+            self._sources[name] = _Source(name, type_name, request, subscription)
+            if old is not None and old.type_name == type_name:
+                self._sources[name].number = old.number
+        if old is not None:
+            self.destroy_subscription(old.subscription)
+
+    def _discover(self) -> None:
+        """Subscribe to what is new, and again where a publisher does not fit the request."""
+        if self._recording.error is not None:
+            raise BagError(self._recording.error)
+        fresh = []
+        self._discoveries += 1
+        for name, types in self.get_topic_names_and_types():
+            source = self._sources.get(name)
+            if not self._wants(name) or name in self._unknown:
+                continue
+            # new publishers of a topic already recorded need not be noticed at once
+            if source is not None and source.number is not None and self._discoveries % 5:
+                continue
+            publishers = self.get_publishers_info_by_topic(name)
+            if not publishers:
+                continue
+            offered = recorded_qos(publishers)
+            if source is not None:
+                source.publishers = len(publishers)
+                if source.type_name in types and all(
+                        meets(source.request, profile) for profile in offered):
+                    continue
+            self._subscribe(name, publishers[0].topic_type, offered)
+            fresh.append(name)
+        if fresh:
+            self.get_logger().info(f'recording {", ".join(sorted(fresh))}')
+
+    def _poll_forever(self) -> None:
+        while not self._stop.wait(POLL_SECONDS):
+            if self._recording.full:
+                if not self._full_said:
+                    self._full_said = True
+                    self.counts['cache_full'] += 1
+                    self.get_logger().warn('the disk is too slow: messages wait in DDS')
+                continue
+            self._full_said = False
+            self._poll()
+
+    def _poll(self, *, final: bool = False) -> int:
+        """
+        Take everything that has arrived; return how many messages.
+
+        What arrived after this look began is held until the next one, so that log times never
+        go back in the bag although topics are emptied one after another.
+        """
+        began = time.time_ns()
+        batch = self._held
+        before = len(batch)
+        with self._lock:
+            sources = list(self._sources.values())
+            for source in sources:
+                self._take(source, batch)
+        taken = len(batch) - before
+        if batch:
+            batch.sort(key=itemgetter(0))
+            split = len(batch)
+            while split and batch[split - 1][0] > began and not final:
+                split -= 1
+            self._held = batch[split:]
+            del batch[split:]
+            if batch:
+                self._recording.put(batch)
+        return taken
+
+    def _take(self, source: _Source, batch: list[tuple[int, int, int, bytes]]) -> None:
+        subscription = source.subscription
+        kind = subscription.msg_type
+        with subscription.handle:
+            take = subscription.handle.take_message
+            while (taken := take(kind, True)) is not None:
+                data, info = taken
+                if source.number is None:
+                    self._announce(source)
+                sequence = info['publication_sequence_number'] or 0
+                if sequence > source.sequence + 1 and source.sequence and source.publishers == 1:
+                    self._count_lost(source, sequence - source.sequence - 1)
+                source.sequence = sequence
+                batch.append((
+                    info['received_timestamp'] or time.time_ns(), info['source_timestamp'],
+                    source.number, data))
+
+    def _announce(self, source: _Source) -> None:
+        """Give a topic its place in the bag, with the QoS of its publishers."""
+        publishers = self.get_publishers_info_by_topic(source.name)
+        source.publishers = len(publishers)
+        offered = recorded_qos(publishers) or [offered_qos()]
+        source.number = self._recording.add_topic(source.name, source.type_name, offered)
+
+    def _count_lost(self, source: _Source, lost: int) -> None:
+        self.counts[f'lost_{source.name}'] += lost
+        self.get_logger().warn(
+            f'{source.name}: {lost} messages were lost on the way to the recorder',
+            throttle_duration_sec=5.0)
+
+
+def parse_provenance(text: str) -> dict[str, str]:
+    """
+    Return the entries of a JSON object as texts; an empty text has none.
+
+    Raises:
+        BagError: not a JSON object.
+    """
+    if not text:
+        return {}
+    try:
+        values = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise BagError(f'provenance is not JSON: {error}') from None
+    if not isinstance(values, dict):
+        raise BagError('provenance is not a JSON object')
+    return {key: value if isinstance(value, str) else json.dumps(value)
+            for key, value in values.items()}
+
+
+def _unused(message: object) -> None:
+    """Stand in for a callback: the subscriptions are polled."""
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the recorder."""
+    return run_node(BagRecorderNode, args)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

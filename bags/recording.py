@@ -1,0 +1,123 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""Messages on their way from the middleware to a bag: a bounded cache and a writing thread."""
+from __future__ import annotations
+
+from collections import deque
+import threading
+from typing import Any
+
+from bags.errors import BagError
+from bags.writer import BagWriter
+
+# the writing thread looks this often, so that a chunk's age is noticed in time; seconds
+TICK = 0.1
+
+
+class Recording:
+    """
+    Writes a bag in a thread of its own.
+
+    `put` never blocks; `full` says when the one who takes messages should leave them where they
+    are. After the disk failed `error` holds the reason, and what is put is counted as lost.
+    """
+
+    def __init__(self, writer: BagWriter, cache_bytes: int) -> None:
+        """Start the thread; about `cache_bytes` may wait for the disk."""
+        self.writer = writer
+        self.error: str | None = None
+        self.lost = 0
+        self.peak_bytes = 0
+        self._cache_bytes = cache_bytes
+        self._waiting_bytes = 0
+        self._batches: deque[tuple[list[tuple[int, int, int, bytes]], int]] = deque()
+        self._topics: list[tuple[str, str, list[dict[str, Any]]]] = []
+        self._written_topics = 0
+        self._wake = threading.Event()
+        self._stop = False
+        self._thread = threading.Thread(target=self._run, name='bag_writer', daemon=True)
+        self._thread.start()
+
+    @property
+    def full(self) -> bool:
+        """Return whether the cache is full."""
+        return self._waiting_bytes >= self._cache_bytes
+
+    def add_topic(self, name: str, type_name: str, qos: list[dict[str, Any]]) -> int:
+        """Announce a topic; return the number its messages carry."""
+        self._topics.append((name, type_name, qos))
+        self._wake.set()
+        return len(self._topics) - 1
+
+    def put(self, batch: list[tuple[int, int, int, bytes]]) -> None:
+        """Take messages in order: log time and publish time in ns, topic number, bytes."""
+        if self.error is not None:
+            self.lost += len(batch)
+            return
+        size = sum(len(message[3]) for message in batch)
+        self._waiting_bytes += size
+        self.peak_bytes = max(self.peak_bytes, self._waiting_bytes)
+        self._batches.append((batch, size))
+        self._wake.set()
+
+    def close(self) -> None:
+        """
+        Write what is waiting and complete the bag.
+
+        Raises:
+            BagError: the disk failed; the text says what was lost.
+        """
+        self._stop = True
+        self._wake.set()
+        self._thread.join()
+        try:
+            self._add_topics()
+            self.writer.close()
+        except OSError as error:
+            self._fail(error)
+        if self.error is not None:
+            raise BagError(self.error)
+
+    def _run(self) -> None:
+        try:
+            while True:
+                self._wake.wait(TICK)
+                stop = self._stop
+                self._wake.clear()
+                self._add_topics()
+                while self._batches:
+                    self._write(*self._batches.popleft())
+                self.writer.tick()
+                if stop:
+                    return
+        except (OSError, BagError) as error:
+            self._fail(error)
+
+    def _write(self, batch: list[tuple[int, int, int, bytes]], size: int) -> None:
+        write = self.writer.write
+        # a topic is always announced before its first message
+        if self._written_topics < len(self._topics):
+            self._add_topics()
+        done = 0
+        try:
+            for log_time, publish_time, topic, data in batch:
+                write(topic, log_time, publish_time, data)
+                done += 1
+        except OSError:
+            # the message that met the failure was in the chunk that the writer counted
+            self.lost += len(batch) - done - 1
+            raise
+        finally:
+            self._waiting_bytes -= size
+
+    def _add_topics(self) -> None:
+        while self._written_topics < len(self._topics):
+            self.writer.add_topic(*self._topics[self._written_topics])
+            self._written_topics += 1
+
+    def _fail(self, error: Exception) -> None:
+        self.lost += sum(len(batch) for batch, _ in self._batches)
+        self._batches.clear()
+        reason = getattr(error, 'strerror', None) or str(error)
+        self.error = (f'{self.writer.folder}: {reason}; {self.writer.message_count} messages '
+                      f'are in the bag, {self.writer.lost + self.lost} were lost')
