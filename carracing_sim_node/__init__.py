@@ -10,6 +10,7 @@ from carracing_sim_node.errors import InvalidVariantError
 from carracing_sim_node.errors import RendererUnavailableError
 from carracing_sim_node.errors import SimulatorError
 from carracing_sim_node.facts import Facts
+from carracing_sim_node.renderer import RendererWarning
 
 __all__ = [
     'CarRacingEnvironment',
@@ -18,6 +19,7 @@ __all__ = [
     'InvalidActionError',
     'InvalidVariantError',
     'RendererUnavailableError',
+    'RendererWarning',
     'SimulatorError',
     'make_env',
 ]

@@ -43,10 +43,11 @@ def place_polygons(local, body_of, bodies, view, xs, ys):
     for i in range(local.shape[0]):
         body = bodies[body_of[i]]
         for k in range(local.shape[1]):
-            x = np.float32(np.float32(body[3] * local[i, k, 0]) - np.float32(body[2] * local[i, k, 1]))
-            y = np.float32(np.float32(body[2] * local[i, k, 0]) + np.float32(body[3] * local[i, k, 1]))
-            world_x = np.float64(np.float32(x + body[0]))
-            world_y = np.float64(np.float32(y + body[1]))
+            # Each product and sum of two float32 is a float32 here, as it is in Box2D.
+            x = body[3] * local[i, k, 0] - body[2] * local[i, k, 1]
+            y = body[2] * local[i, k, 0] + body[3] * local[i, k, 1]
+            world_x = np.float64(x + body[0])
+            world_y = np.float64(y + body[1])
             turned_x = view[COSINE] * world_x - view[SINE] * world_y
             turned_y = view[SINE] * world_x + view[COSINE] * world_y
             xs[i, k] = np.int64(turned_x * view[ZOOM] + view[SHIFT_X])

@@ -14,7 +14,7 @@ from carracing_sim_node.errors import InvalidActionError
 from carracing_sim_node.errors import InvalidVariantError
 from carracing_sim_node.facts import Facts
 from carracing_sim_node.renderer import RENDERERS
-from carracing_sim_node.renderer import choose_renderer
+from carracing_sim_node.renderer import build
 from carracing_sim_node.simulation import Simulation
 
 MAX_EPISODE_STEPS = 1000
@@ -99,10 +99,13 @@ class CarRacingEnvironment(gymnasium.Env):
         self.zoom = bool(zoom)
         self.early_end_frames = int(early_end_frames)
         self.max_episode_steps = max_episode_steps
-        self._sim = Simulation(
-            domain_randomize=bool(domain_randomize), continuous=bool(continuous)
+        self.continuous = bool(continuous)
+        self._sim, self._renderer = build(
+            renderer, domain_randomize=bool(domain_randomize), settled_zoom=not self.zoom
         )
         self.action_space = self._sim.action_space
+        if not self.continuous:
+            self.action_space = gymnasium.spaces.Discrete(len(_DISCRETE_CONTROLS))
         self.observation_space = self._sim.observation_space
         self.render_mode = 'rgb_array'
         self._running = False
@@ -110,11 +113,10 @@ class CarRacingEnvironment(gymnasium.Env):
         self._ended_early = False
         self._lap_finished = False
         self._last_new_tile = 0
-        self._renderer = choose_renderer(renderer, self._sim, settled_zoom=not self.zoom)
 
     @property
     def renderer_name(self) -> str:
-        """The renderer in use: `fast` or `stock`."""
+        """The renderer in use: `fast`, or `stock` for gymnasium's own code throughout."""
         return self._renderer.name
 
     @property
@@ -199,10 +201,10 @@ class CarRacingEnvironment(gymnasium.Env):
                 info['lap_finished'] = lap_finished and not off_field
             if sim.frames == self.max_episode_steps:
                 truncated = True
-            if self.early_end_frames and not terminated:
-                if sim.frames - self._last_new_tile >= self.early_end_frames:
-                    truncated = self._ended_early = True
-                    info['ended_early'] = True
+            waited = sim.frames - self._last_new_tile
+            if 0 < self.early_end_frames <= waited and not terminated:
+                truncated = self._ended_early = True
+                info['ended_early'] = True
             if terminated or truncated:
                 self._ended = True
                 break
@@ -285,7 +287,7 @@ class CarRacingEnvironment(gymnasium.Env):
 
     def _controls(self, action: Any) -> tuple[float, float, float]:
         """Return (steer, gas, brake) of an action, or raise InvalidActionError."""
-        if not self._sim.continuous:
+        if not self.continuous:
             if not self.action_space.contains(action):
                 raise InvalidActionError(
                     f'action is {action!r}; expected a whole number from 0 to 4'
@@ -340,8 +342,8 @@ def make_env(
             (a variant); 0 never does.
         domain_randomize: Gymnasium's own variant: other colours with every reset.
         max_episode_steps: Truncate after this many frames; None never does.
-        renderer: `fast` (raises if it cannot run), `stock` (gymnasium's own drawing), or `auto`:
-            fast where it can run and draws what gymnasium draws, otherwise stock with a warning.
+        renderer: `fast` (raises if it cannot run), `stock` (gymnasium's own code throughout), or
+            `auto`: fast where it can run and equals gymnasium, otherwise stock with a warning.
         continuous: False takes gymnasium's five discrete actions.
 
     Raises:

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The compiled renderer of the observation."""
 
+from functools import cache
 import math
 
 from gymnasium.envs.box2d.car_racing import PLAYFIELD
@@ -14,10 +15,14 @@ from gymnasium.envs.box2d.car_racing import ZOOM
 import numpy as np
 
 from carracing_sim_node.car_shape import CarShape
+from carracing_sim_node.car_shape import place_polygons
+from carracing_sim_node.edges import MAX_CORNERS
 from carracing_sim_node.panel import BAR_COLOURS
+from carracing_sim_node.panel import NO_BAR
 from carracing_sim_node.panel import ScoreText
 from carracing_sim_node.panel import bars
 from carracing_sim_node.scanline import VIEW_SIZE
+from carracing_sim_node.scanline import ZOOM as ZOOM_INDEX
 from carracing_sim_node.scanline import draw_frame
 from carracing_sim_node.scanline import make_scratch
 from carracing_sim_node.simulation import Simulation
@@ -57,6 +62,7 @@ class FastRenderer:
         self._capacity = 0
         sim.on_new_track = self._take_track
         sim.on_tile_faded = self._fade_tile
+        warm_up()
 
     def draw(self) -> np.ndarray:
         """Return the present frame, uint8 (96, 96, 3), an array of its own."""
@@ -123,3 +129,42 @@ class FastRenderer:
     def _fade_tile(self, index: int) -> None:
         """Show that tile `index` has been touched."""
         self._geometry.fade_tile(index)
+
+
+@cache
+def warm_up() -> None:
+    """
+    Load or compile the loops now, so that no lap waits for them.
+
+    Loading takes a fraction of a second; the first time ever, compiling takes some ten seconds.
+    """
+    view = np.zeros(VIEW_SIZE)
+    view[ZOOM_INDEX] = 1.0
+    xs = np.zeros((1, MAX_CORNERS), np.int64)
+    place_polygons(
+        np.zeros((1, MAX_CORNERS, 2), np.float32),
+        np.zeros(1, np.int64),
+        np.zeros((1, 4), np.float32),
+        view,
+        xs,
+        xs.copy(),
+    )
+    draw_frame(
+        np.zeros((1, 4, 2)),
+        np.zeros((1, 3)),
+        np.zeros(1, np.uint32),
+        view,
+        0,
+        PLAYFIELD,
+        xs,
+        xs.copy(),
+        np.zeros(1, np.int64),
+        np.zeros(1, np.uint32),
+        np.array([NO_BAR]),
+        BAR_COLOURS,
+        np.zeros((1, 1), np.uint32),
+        0,
+        0,
+        make_scratch(1),
+        np.empty((STATE_H, STATE_W, 3), np.uint8),
+    )

@@ -20,7 +20,8 @@ BAR_COLOURS = np.array(
 )
 """Speed, the four wheels, steering, turning."""
 
-_NOTHING = (0, -1, 0, -1)
+NO_BAR = (0, -1, 0, -1)
+"""A bar without any pixel."""
 
 
 def bars(car: Car, speed: float) -> list[tuple[int, int, int, int]]:
@@ -46,7 +47,7 @@ def bars(car: Car, speed: float) -> list[tuple[int, int, int, int]]:
 def _upright(place: int, value: float, scale: float) -> tuple[int, int, int, int]:
     """Return the bar that grows from the bottom of the panel."""
     if abs(value) <= _SHOWN:
-        return _NOTHING
+        return NO_BAR
     foot = int(WINDOW_H - _ROW)
     head = int(WINDOW_H - (_ROW + _ROW * (scale * value)))
     return (
@@ -60,7 +61,7 @@ def _upright(place: int, value: float, scale: float) -> tuple[int, int, int, int
 def _level(place: int, value: float, scale: float) -> tuple[int, int, int, int]:
     """Return the bar that grows to either side."""
     if abs(value) <= _SHOWN:
-        return _NOTHING
+        return NO_BAR
     start = int(place * _COLUMN)
     end = int((place + scale * value) * _COLUMN)
     return (

@@ -4,9 +4,9 @@
 Draws the 96x96 observation without ever building gymnasium's 1000x800 surface.
 
 The surface is made in bands of 25 rows, each of which shrinks to exactly three rows of the
-observation and stays in the processor's cache meanwhile. While a band is drawn, `mixed` notes which
-of its 3x96 windows may hold more than one colour; the others, most of the picture, need no
-averaging at all.
+observation and stays in the processor's cache meanwhile. While a band is drawn, `mixed` notes
+which of its 3x96 windows may hold more than one colour; the others, most of the picture, need
+no averaging at all.
 
 Polygons are kept in the surface's coordinates before gymnasium flips it (y from the bottom of the
 picture); rows of a band count from the top of the picture.
@@ -701,9 +701,7 @@ def draw_frame(
                 if simple:
                     fill_simple_quad(band, mixed, left, right, shift, top, low, high, rgb)
                 for side in range(4):
-                    draw_edge(
-                        band, mixed, edges, quad, side, left, right, shift, simple, top, rgb
-                    )
+                    draw_edge(band, mixed, edges, quad, side, left, right, shift, simple, top, rgb)
                 if not simple:
                     xs = scratch.corners_x[quad]
                     ys = scratch.corners_y[quad]

@@ -14,6 +14,7 @@ import numpy as np
 from carracing_sim_node.car_step import press_pedals
 from carracing_sim_node.car_step import push_wheels
 from carracing_sim_node.contacts import TileContacts
+from carracing_sim_node.contacts import WatchedContacts
 
 STANDING_SPEED = 1.0
 """Below this speed of the hull, in units per second, the car stands (full speed is about 100)."""
@@ -31,12 +32,20 @@ class Simulation(CarRacing):
     Tracks, physics, reward and ends of gymnasium's environment, one frame at a time.
 
     `advance` is gymnasium's `step` without its drawing, with the controls as three numbers.
-    Tracks, bodies and colours are created by gymnasium's own code.
+    Tracks, bodies and colours are created by gymnasium's own code, and Box2D moves them.
     """
 
-    def __init__(self, *, domain_randomize: bool = False, continuous: bool = True) -> None:
-        """Create an empty world; the arguments are gymnasium's."""
-        super().__init__(domain_randomize=domain_randomize, continuous=continuous)
+    def __init__(self, *, domain_randomize: bool = False, own_step: bool = True) -> None:
+        """
+        Create an empty world.
+
+        Args:
+            domain_randomize: Gymnasium's argument: other colours with every reset.
+            own_step: Apply the wheel forces, the contacts and the reward with this package's
+                code, which is equal and faster, instead of gymnasium's.
+        """
+        super().__init__(domain_randomize=domain_randomize, continuous=True)
+        self._own_step = own_step
         self.on_new_track: Callable[[], None] | None = None
         self.on_tile_faded: Callable[[int], None] | None = None
         self.contacts: TileContacts | None = None
@@ -54,8 +63,11 @@ class Simulation(CarRacing):
 
     def step(self, action: None) -> tuple[None, float, bool, bool, dict]:
         """Simulate the one frame without controls that gymnasium's `reset` asks for."""
-        assert action is None
-        self._simulate()
+        if self._own_step:
+            self._simulate()
+        else:
+            super().step(action)
+            self._measure_speed()
         return None, 0.0, False, False, {}
 
     def advance(self, steer: float, gas: float, brake: float) -> tuple[float, bool, bool]:
@@ -71,10 +83,12 @@ class Simulation(CarRacing):
             The reward of the frame, whether the lap was finished in it, and whether the car has
             left the playfield in it. Either of the two ends the episode.
         """
+        self.frames += 1
+        if not self._own_step:
+            return self._advance_by_gymnasium(steer, gas, brake)
         press_pedals(self.car, -steer, gas, brake)
         self._simulate()
-        self.frames += 1
-        self.standing_still = self.standing_still + 1 if self.speed < STANDING_SPEED else 0
+        self._count_standing()
 
         self.reward -= 0.1
         self.car.fuel_spent = 0.0
@@ -124,7 +138,8 @@ class Simulation(CarRacing):
         time, reward = self.t, self.reward
         if settled_zoom:
             self.t = max(time, 1.0)
-        self.reward = self.shown_reward
+        if mode == 'state_pixels':
+            self.reward = self.shown_reward
         try:
             return CarRacing._render(self, mode)
         finally:
@@ -135,18 +150,38 @@ class Simulation(CarRacing):
         push_wheels(self.car, _DT)
         self.world.Step(_DT, _VELOCITY_ITERATIONS, _POSITION_ITERATIONS)
         self.t += _DT
+        self._measure_speed()
+        # Gymnasium draws before it charges the frame, so the score in the frame lacks that 0.1.
+        self.shown_reward = self.reward
+
+    def _measure_speed(self) -> None:
+        """Take the speed of the hull, units per second."""
         velocity = self.car.hull.linearVelocity
         x = velocity.x
         y = velocity.y
         self.speed = sqrt(x * x + y * y)
-        # Gymnasium draws before it charges the frame, so the score in the frame lacks that 0.1.
-        self.shown_reward = self.reward
+
+    def _count_standing(self) -> None:
+        """Count the frames for which the car has stood."""
+        self.standing_still = self.standing_still + 1 if self.speed < STANDING_SPEED else 0
+
+    def _advance_by_gymnasium(
+        self, steer: float, gas: float, brake: float
+    ) -> tuple[float, bool, bool]:
+        """Do what `advance` does with gymnasium's own `step`."""
+        action = np.array([steer, gas, brake])
+        _, reward, terminated, _, info = super().step(action)
+        self._measure_speed()
+        self._count_standing()
+        lap_finished = self.tile_visited_count == len(self.track) or self.new_lap
+        return reward, lap_finished, terminated and not info['lap_finished']
 
     def _create_track(self) -> bool:
         """Create a track with gymnasium's code and watch it with our own contact listener."""
         if not super()._create_track():
             return False
-        self.contacts = TileContacts(self, self.lap_complete_percent)
+        contacts = TileContacts if self._own_step else WatchedContacts
+        self.contacts = contacts(self, self.lap_complete_percent)
         self.world.contactListener_bug_workaround = self.contacts
         self.world.contactListener = self.contacts
         if self.on_new_track is not None:
@@ -154,7 +189,8 @@ class Simulation(CarRacing):
         return True
 
     def _render(self, mode: str) -> Any:
-        """Draw nothing where gymnasium would; `draw_stock` is how to ask for it."""
+        """Draw nothing where gymnasium would, but keep the score that it would show."""
+        self.shown_reward = self.reward
         return None
 
 
