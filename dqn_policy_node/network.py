@@ -56,7 +56,7 @@ class QNetwork(nn.Module):
         for index, convolution in enumerate(self.convolutions):
             x = functional.relu(convolution(x), inplace=True)
             if dropout and self.dropout and index == DROPOUT_LAYER:
-                x = functional.dropout(x, self.dropout, inplace=True)
+                x = functional.dropout(x, self.dropout)
         x = functional.relu(self.hidden(x.flatten(1)), inplace=True)
         if not self.description.network.dueling:
             return self.output(x).float()

@@ -1,0 +1,264 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Every number that learning depends on, described once.
+
+Section numbers are those of the report that the project starts from; papers are named where a
+trick comes from one. Presets are YAML files of these names.
+"""
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from dqn_policy_node.action_sets import ACTION_SETS, action_set
+from dqn_policy_node.model_description import (
+    GRAYS, ModelDescription, Network, parse_convolutions, Preprocessing,
+)
+from dqn_policy_node.share import share_path
+from msgs_bridge.errors import SettingsError
+from msgs_bridge.settings import from_mapping, setting
+
+MAX_PRESET_BYTES = 2**20
+
+
+@dataclasses.dataclass(frozen=True)
+class Hyperparameters:
+    """The settings of one training run; the defaults are those of the report."""
+
+    # What the agent is. ------------------------------------------------------------------------
+    convolutions: str = setting(
+        '32@8/4 64@4/2 64@3/1', 'convolutional layers as FILTERS@KERNEL/STRIDE (table 1)')
+    hidden: int = setting(
+        512, 'units of the fully connected layer (2.1)', low=2, high=4096)
+    dueling: bool = setting(
+        False, 'separate streams for value and advantage, half the hidden units each '
+        '(arXiv 1511.06581)')
+    dropout: float = setting(
+        0.0, 'share of the second convolution dropped while learning (AMD-RIPS 2018)',
+        low=0.0, high=0.9)
+    gray: str = setting(
+        'mean', 'how rgb becomes gray; the mean of the channels in the report (2.1)',
+        choices=GRAYS)
+    first_row: int = setting(0, 'first row of the frame that is kept', low=0, high=95)
+    rows: int = setting(96, 'rows that are kept', low=1, high=96)
+    first_column: int = setting(0, 'first column of the frame that is kept', low=0, high=95)
+    columns: int = setting(96, 'columns that are kept', low=1, high=96)
+    shrink: int = setting(
+        1, 'side in pixels of the squares that are averaged into one', low=1, high=8)
+    flat_road: bool = setting(
+        False, 'draw visited and unvisited road in one shade, so that the car goes on where all '
+        'tiles are visited (AMD-RIPS 2018 hid them too)')
+    frame_stack: int = setting(
+        1, 'pictures the network sees at once; the report names one (2.1)', low=1, high=16)
+    action_set: str = setting(
+        'seed5', 'the discrete actions; the five of the report are seed5 (2.2.2)',
+        choices=tuple(ACTION_SETS))
+    action_repeat: int = setting(
+        1, 'simulator frames (1/50 s) an action is held; the report names none', low=1, high=50)
+
+    # What it learns from. ----------------------------------------------------------------------
+    seed: int = setting(42, 'seed of training tracks, weights and samples (3.1)',
+                        low=0, high=2**31 - 1)
+    early_end_frames: int = setting(
+        0, 'simulator frames without a new tile that end a training episode; 0 = never',
+        low=0, high=100000)
+    replay_capacity: int = setting(
+        100_000, 'frames the replay buffer holds (2.2.1)', low=100, high=5_000_000)
+    batch_size: int = setting(32, 'transitions in a batch (2.2.1)', low=1, high=4096)
+    learning_starts: int = setting(
+        1000, 'transitions before the first update', low=1, high=1_000_000)
+    samples_per_transition: float = setting(
+        8.0, 'samples drawn for every transition that comes in: 8 is a batch of 32 every fourth '
+        'decision (Nature 518, 529)', low=0.01, high=1000.0)
+    flips: bool = setting(
+        False, 'mirror half of the samples left to right (AMD-RIPS 2018)')
+
+    # How it learns. ----------------------------------------------------------------------------
+    gamma: float = setting(
+        0.99, 'discount for each decision (2.2.1)', low=0.0, high=1.0)
+    n_steps: int = setting(
+        1, 'rewards added up before bootstrapping (arXiv 1710.02298)', low=1, high=50)
+    double: bool = setting(
+        False, 'the online network chooses, the target network judges (arXiv 1509.06461)')
+    loss: str = setting('l1', 'loss of the TD error (2.2.1)', choices=('l1', 'huber'))
+    gradient_clip: float = setting(
+        10.0, 'largest norm of the gradient; the report clips at an unnamed value (2.2.1)',
+        low=0.001, high=1e6)
+    reward_scale: float = setting(
+        1.0, 'factor on the shaped reward before learning', low=1e-6, high=1e6)
+    adam_epsilon: float = setting(
+        1e-8, "epsilon of Adam (PyTorch's)", low=1e-12, high=1.0)
+    target_update: str = setting(
+        'episodes', 'what the target network waits for (2.2.1: episodes)',
+        choices=('episodes', 'updates'))
+    target_every: int = setting(
+        10, 'episodes or updates between copies to the target network (2.2.1)',
+        low=1, high=1_000_000)
+    weight_average: float = setting(
+        0.0, 'decay for each update of the averaged weights that act and are validated; 0 = act '
+        'by the last weights', low=0.0, high=0.999999)
+    bf16: bool = setting(
+        False, 'bfloat16 arithmetic in the network while learning')
+
+    # Schedules. --------------------------------------------------------------------------------
+    epsilon_schedule: str = setting(
+        'episodes', 'epsilon falls by a factor each episode (2.2.1) or linearly by decisions',
+        choices=('episodes', 'decisions'))
+    epsilon_start: float = setting(1.0, 'first epsilon (2.2.1)', low=0.0, high=1.0)
+    epsilon_end: float = setting(0.01, 'least epsilon (2.2.1)', low=0.0, high=1.0)
+    epsilon_decay: float = setting(
+        0.995, 'factor on epsilon after every episode (2.2.1)', low=0.0, high=1.0)
+    epsilon_decisions: int = setting(
+        100_000, 'decisions over which a linear epsilon falls', low=1, high=1_000_000_000)
+    gas_weight: float = setting(
+        1.0, 'how much likelier a random action has gas; 1 = uniform (2.2.1)',
+        low=0.001, high=1000.0)
+    learning_rate: float = setting(1e-4, 'first learning rate (2.2.1)', low=1e-9, high=1.0)
+    learning_rate_end: float = setting(1e-6, 'least learning rate (2.2.1)', low=0.0, high=1.0)
+    learning_rate_schedule: str = setting(
+        'plateau', 'halved when no episode was better for a while (2.2.3), constant, or linear '
+        'over the later part of the run', choices=('plateau', 'constant', 'linear'))
+    patience_episodes: int = setting(
+        200, 'episodes without a better reward before the learning rate is halved (2.2.3)',
+        low=1, high=1_000_000)
+    learning_rate_hold: float = setting(
+        0.0, 'share of the run before a linear learning rate starts to fall', low=0.0, high=1.0)
+    run_decisions: int = setting(
+        0, 'decisions after which the run is complete; 0 = no limit', low=0, high=1_000_000_000)
+    run_episodes: int = setting(
+        2000, 'episodes after which the run is complete; 0 = no limit (3.1)',
+        low=0, high=1_000_000_000)
+    run_minutes: float = setting(
+        0.0, 'minutes of wall clock after which the run is complete; 0 = no limit',
+        low=0.0, high=1e6)
+
+    # Shaping: in training only, added to the reward of the environment; 0 = off. ---------------
+    tile_missed_penalty: float = setting(
+        0.0, 'points off for every tile left behind unvisited', low=0.0, high=1000.0)
+    off_road_penalty: float = setting(
+        0.0, 'points off a frame, times the share of the wheels off the road',
+        low=0.0, high=100.0)
+    standing_penalty: float = setting(
+        0.0, 'points off for the first frame of standing still (5.1)', low=0.0, high=100.0)
+    standing_growth: float = setting(
+        1.02, 'factor by which the penalty grows with each frame of standing still (5.1)',
+        low=1.0, high=2.0)
+    standing_limit: float = setting(
+        10.0, 'most points off for one frame of standing still', low=0.0, high=1000.0)
+    progress_weight: float = setting(
+        0.0, 'points for visiting all tiles, shared out by tile, beside the 1000 of the '
+        'environment (5.1)', low=-1000.0, high=10000.0)
+    speed_weight: float = setting(
+        0.0, 'points a frame, times the speed in m/s over 100 (5.1)', low=-10.0, high=10.0)
+    time_penalty: float = setting(
+        0.0, "points off a frame, beside the environment's 0.1", low=0.0, high=10.0)
+    finish_bonus: float = setting(
+        0.0, 'points for a finished lap', low=0.0, high=1000.0)
+    left_field_refund: float = setting(
+        0.0, "points given back when the car leaves the field, of the environment's -100",
+        low=0.0, high=200.0)
+    early_end_penalty: float = setting(
+        0.0, 'points off when the episode is ended early', low=0.0, high=1000.0)
+    early_end_terminal: bool = setting(
+        False, 'treat an early end as the end of all rewards instead of bootstrapping')
+
+    # What is handed out and kept. --------------------------------------------------------------
+    weights_every: int = setting(
+        100, 'updates between published weights', low=1, high=1_000_000)
+    validation_seed: int = setting(
+        420, 'seed of the first validation track (3.1)', low=0, high=2**31 - 1)
+    validation_tracks: int = setting(
+        5, 'laps of a validation (3.1)', low=1, high=1000)
+    validation_every_episodes: int = setting(
+        100, 'episodes between validations; 0 = not by episodes (3.1)', low=0, high=1_000_000)
+    validation_every_decisions: int = setting(
+        0, 'decisions between validations; 0 = not by decisions', low=0, high=1_000_000_000)
+    validation_every_minutes: float = setting(
+        0.0, 'minutes between validations; 0 = not by the clock', low=0.0, high=1e6)
+    validation_spread_weight: float = setting(
+        0.0, 'standard deviations taken off the mean when the best model is chosen',
+        low=0.0, high=10.0)
+    checkpoint_every_minutes: float = setting(
+        10.0, 'minutes between checkpoints; 0 = only at the end', low=0.0, high=1e6)
+
+    def __post_init__(self) -> None:
+        """
+        Check what concerns more than one value.
+
+        Raises:
+            ModelError: the network or the preprocessing cannot be.
+            SettingsError: values that contradict each other.
+        """
+        self.model_description()
+        if self.epsilon_end > self.epsilon_start:
+            raise SettingsError(f'epsilon_end {self.epsilon_end} is above epsilon_start '
+                                f'{self.epsilon_start}')
+        if self.learning_rate_end > self.learning_rate:
+            raise SettingsError(f'learning_rate_end {self.learning_rate_end} is above '
+                                f'learning_rate {self.learning_rate}')
+        if self.learning_starts >= self.replay_capacity:
+            raise SettingsError(f'learning_starts {self.learning_starts} must be below '
+                                f'replay_capacity {self.replay_capacity}')
+        if self.frame_stack + self.n_steps >= self.replay_capacity:
+            raise SettingsError('frame_stack and n_steps do not fit into replay_capacity')
+
+    def model_description(self) -> ModelDescription:
+        """Return the model that these settings make; raises ModelError if it cannot be."""
+        return ModelDescription(
+            network=Network(
+                parse_convolutions(self.convolutions), self.hidden, self.dueling, self.dropout),
+            preprocessing=Preprocessing(
+                self.first_row, self.rows, self.first_column, self.columns, self.gray,
+                self.flat_road, self.shrink),
+            frame_stack=self.frame_stack,
+            action_set=action_set(self.action_set),
+            action_repeat=self.action_repeat,
+        )
+
+
+def load_preset(
+    name_or_path: str | Path, overrides: dict[str, Any] | None = None,
+) -> Hyperparameters:
+    """
+    Read hyperparameters from a YAML file.
+
+    Args:
+        name_or_path: a preset of the package ('report', 'racing') or the path of a file.
+        overrides: values that take the place of the file's.
+
+    Raises:
+        SettingsError: no such preset, a file that is no mapping, or a name or value that is not
+            accepted.
+    """
+    path = Path(name_or_path).expanduser()
+    if not path.is_file():
+        try:
+            path = share_path(Path('config') / f'{name_or_path}.yaml')
+        except FileNotFoundError:
+            raise SettingsError(f'no preset {str(name_or_path)!r}: neither a file nor one of '
+                                "the package's, which are 'report' and 'racing'") from None
+    try:
+        if path.stat().st_size > MAX_PRESET_BYTES:
+            raise SettingsError(f'{path} is longer than {MAX_PRESET_BYTES} bytes')
+        values = yaml.safe_load(path.read_text())
+    except OSError as error:
+        raise SettingsError(f'{path}: {error.strerror}') from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise SettingsError(f'{path} is not YAML: {str(error).splitlines()[0]}') from None
+    if values is None:
+        values = {}
+    if not isinstance(values, dict):
+        raise SettingsError(f'{path} must be a mapping of names to values')
+    try:
+        return from_mapping(Hyperparameters, {**values, **(overrides or {})})
+    except SettingsError as error:
+        raise SettingsError(f'{path}: {error}') from None
+
+
+def to_yaml(hyperparameters: Hyperparameters) -> str:
+    """Return a preset file that holds every value."""
+    return yaml.safe_dump(dataclasses.asdict(hyperparameters), sort_keys=False)

@@ -1,0 +1,202 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The replay buffer: every picture once, samples by a few vectorised reads.
+
+Pictures lie in a ring in the order they came. A slot holds a picture and, once it is known, what
+was done on seeing it: action, reward and whether the rules ended the episode there. The last
+picture of an unbroken stretch has no action, so whatever walks forward from a slot stops there,
+and `age`, the number of pictures before it in its stretch, stops whatever looks back.
+"""
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+
+class Batch(NamedTuple):
+    """
+    Samples for one update.
+
+    Attributes:
+        pictures: uint8 (B, stack, H, W), oldest first.
+        actions: int64 (B,).
+        rewards: float32 (B,), discounted sum over up to n steps.
+        next_pictures: uint8 (B, stack, H, W), what was seen after those steps.
+        discounts: float32 (B,), factor on the value of `next_pictures`; 0 where the rules ended
+            the episode, a cut-off episode goes on being worth something.
+    """
+
+    pictures: np.ndarray
+    actions: np.ndarray
+    rewards: np.ndarray
+    next_pictures: np.ndarray
+    discounts: np.ndarray
+
+
+class ReplayBuffer:
+    """
+    A ring of pictures and what was done on seeing them.
+
+    Args:
+        capacity: pictures that fit.
+        shape: height and width of a picture.
+        frame_stack: pictures in a stack.
+        n_steps: rewards that are added up before bootstrapping.
+        gamma: discount of one step.
+        mirrored: for each action its mirror image, to flip half of the samples; None never does.
+    """
+
+    _ARRAYS = ('pictures', 'actions', 'rewards', 'terminated', 'acted', 'ages')
+
+    def __init__(
+        self, capacity: int, shape: tuple[int, int], *, frame_stack: int = 1, n_steps: int = 1,
+        gamma: float = 0.99, mirrored: tuple[int, ...] | None = None,
+    ) -> None:
+        """Reserve the memory; pages are taken as they are filled."""
+        self.capacity = capacity
+        self.frame_stack = frame_stack
+        self.n_steps = n_steps
+        self.gamma = gamma
+        self._mirrored = None if mirrored is None else np.array(mirrored, np.int64)
+        self._pictures = np.empty((capacity, *shape), np.uint8)
+        self._actions = np.zeros(capacity, np.uint8)
+        self._rewards = np.zeros(capacity, np.float32)
+        self._terminated = np.zeros(capacity, bool)
+        self._acted = np.zeros(capacity, bool)
+        self._ages = np.zeros(capacity, np.int32)
+        # slots ever written; slot number n lies at n % capacity
+        self.written = 0
+        self._gathered = np.empty((0, *shape), np.uint8)
+
+    def __len__(self) -> int:
+        """Return the number of pictures held."""
+        return min(self.written, self.capacity)
+
+    @property
+    def transitions(self) -> int:
+        """Return the number of transitions held."""
+        return int(np.count_nonzero(self._acted[:len(self)]))
+
+    def start(self, picture: np.ndarray) -> None:
+        """Begin a stretch with its first picture, uint8 (H, W)."""
+        self._write(picture, 0)
+
+    def add(
+        self, action: int, reward: float, next_picture: np.ndarray, *, terminated: bool,
+    ) -> None:
+        """
+        Add what was done on seeing the newest picture, and the picture that followed.
+
+        Args:
+            action: index of the action.
+            reward: what it earned, shaped and scaled.
+            next_picture: uint8 (H, W).
+            terminated: whether the rules ended the episode. After any end call `start` next.
+        """
+        newest = (self.written - 1) % self.capacity
+        self._actions[newest] = action
+        self._rewards[newest] = reward
+        self._terminated[newest] = terminated
+        self._acted[newest] = True
+        self._write(next_picture, int(self._ages[newest]) + 1)
+
+    def _write(self, picture: np.ndarray, age: int) -> None:
+        slot = self.written % self.capacity
+        self._pictures[slot] = picture
+        self._ages[slot] = age
+        self._acted[slot] = False
+        self._terminated[slot] = False
+        self.written += 1
+
+    def sample(self, batch_size: int, random: np.random.Generator) -> Batch:
+        """
+        Draw transitions uniformly, with replacement.
+
+        The pictures are views on memory that the next call overwrites.
+
+        Raises:
+            ValueError: no transition is held.
+        """
+        numbers = self._draw(batch_size, random)
+        rewards, discounts, steps = self._look_ahead(numbers)
+        slots = numbers % self.capacity
+        actions = self._actions[slots].astype(np.int64)
+        pictures = self._stacks(np.concatenate([numbers, numbers + steps]))
+        if self._mirrored is not None:
+            flipped = random.random(batch_size) < 0.5
+            actions = np.where(flipped, self._mirrored[actions], actions)
+            both = np.concatenate([flipped, flipped])
+            pictures[both] = pictures[both][..., ::-1]
+        return Batch(pictures[:batch_size], actions, rewards, pictures[batch_size:], discounts)
+
+    def _draw(self, count: int, random: np.random.Generator) -> np.ndarray:
+        """Return numbers of slots that hold an action and a whole stack, int64 (count,)."""
+        low = max(self.written - self.capacity, 0)
+        if low:
+            low += self.frame_stack - 1
+        high = self.written - 1
+        if high <= low:
+            raise ValueError('the replay buffer holds no transition')
+        numbers = random.integers(low, high, count)
+        for _ in range(20):
+            wrong = np.flatnonzero(~self._acted[numbers % self.capacity])
+            if not len(wrong):
+                return numbers
+            numbers[wrong] = random.integers(low, high, len(wrong))
+        # hardly any slot holds an action: choose among those that do
+        usable = np.arange(low, high)
+        usable = usable[self._acted[usable % self.capacity]]
+        if not len(usable):
+            raise ValueError('the replay buffer holds no transition')
+        return usable[random.integers(0, len(usable), count)]
+
+    def _look_ahead(self, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return rewards over up to n steps, discounts after them, and how many there were."""
+        rewards = np.zeros(len(numbers))
+        discounts = np.ones(len(numbers))
+        steps = np.zeros(len(numbers), np.int64)
+        alive = np.ones(len(numbers), bool)
+        ended = np.zeros(len(numbers), bool)
+        for step in range(self.n_steps):
+            slots = (numbers + step) % self.capacity
+            alive = alive & self._acted[slots]
+            rewards += np.where(alive, discounts * self._rewards[slots], 0.0)
+            discounts = np.where(alive, discounts * self.gamma, discounts)
+            ended |= alive & self._terminated[slots]
+            steps += alive
+        discounts[ended] = 0.0
+        return rewards.astype(np.float32), discounts.astype(np.float32), steps
+
+    def _stacks(self, numbers: np.ndarray) -> np.ndarray:
+        """Return the stacks that end at slots, uint8 (N, stack, H, W)."""
+        back = np.arange(self.frame_stack - 1, -1, -1)
+        ages = self._ages[numbers % self.capacity]
+        slots = (numbers[:, None] - np.minimum(back, ages[:, None])) % self.capacity
+        count = slots.size
+        if len(self._gathered) != count:
+            self._gathered = np.empty((count, *self._pictures.shape[1:]), np.uint8)
+        # with `out`, 'clip' saves the copy that 'raise' makes; no index is out of range
+        self._pictures.take(slots.ravel(), axis=0, out=self._gathered, mode='clip')
+        return self._gathered.reshape(len(numbers), self.frame_stack, *self._pictures.shape[1:])
+
+    def state_arrays(self) -> dict[str, np.ndarray]:
+        """Return the filled part of each array, as views."""
+        return {name: getattr(self, f'_{name}')[:len(self)] for name in self._ARRAYS}
+
+    def load_state(self, arrays: dict[str, np.ndarray], written: int) -> None:
+        """
+        Take over what `state_arrays` gave.
+
+        Raises:
+            ValueError: arrays of another capacity or picture size.
+        """
+        size = min(written, self.capacity)
+        for name in self._ARRAYS:
+            own = getattr(self, f'_{name}')
+            if arrays[name].shape != (size, *own.shape[1:]) or arrays[name].dtype != own.dtype:
+                raise ValueError(f'replay {name} are {arrays[name].dtype} {arrays[name].shape}; '
+                                 f'expected {own.dtype} {(size, *own.shape[1:])}')
+            own[:size] = arrays[name]
+        self.written = written

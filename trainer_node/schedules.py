@@ -1,0 +1,66 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""Epsilon and learning rate over a run."""
+from __future__ import annotations
+
+import math
+
+from trainer_node.hyperparameters import Hyperparameters
+
+
+def epsilon(settings: Hyperparameters, *, episodes: int, decisions: int) -> float:
+    """
+    Return the share of random actions.
+
+    By episodes it falls by a factor after each (report, 2.2.1), by decisions on a line.
+    """
+    if settings.epsilon_schedule == 'episodes':
+        value = settings.epsilon_start * settings.epsilon_decay ** episodes
+    else:
+        share = min(decisions / settings.epsilon_decisions, 1.0)
+        value = settings.epsilon_start + share * (settings.epsilon_end - settings.epsilon_start)
+    return max(value, settings.epsilon_end)
+
+
+class LearningRate:
+    """
+    The learning rate: constant, halved on plateaus, or falling on a line.
+
+    Attributes:
+        value: the present rate.
+        best_reward: best reward of an episode so far.
+        episodes_without_better: how long that is ago.
+    """
+
+    def __init__(self, settings: Hyperparameters) -> None:
+        """Start with the first rate."""
+        self._settings = settings
+        self.value = settings.learning_rate
+        self.best_reward = -math.inf
+        self.episodes_without_better = 0
+
+    def episode_ended(self, reward: float) -> None:
+        """
+        Take note of an episode's reward; on a plateau halve the rate (report, 2.2.3).
+
+        A better reward, or a halving, starts the patience anew.
+        """
+        if reward > self.best_reward:
+            self.best_reward = reward
+            self.episodes_without_better = 0
+            return
+        self.episodes_without_better += 1
+        if (self._settings.learning_rate_schedule == 'plateau'
+                and self.episodes_without_better >= self._settings.patience_episodes):
+            self.value = max(self.value / 2, self._settings.learning_rate_end)
+            self.episodes_without_better = 0
+
+    def progressed(self, progress: float) -> None:
+        """Take note of the share of the run that is done, 0 to 1."""
+        settings = self._settings
+        if settings.learning_rate_schedule != 'linear' or settings.learning_rate_hold >= 1:
+            return
+        share = (progress - settings.learning_rate_hold) / (1 - settings.learning_rate_hold)
+        share = min(max(share, 0.0), 1.0)
+        self.value = settings.learning_rate + share * (
+            settings.learning_rate_end - settings.learning_rate)

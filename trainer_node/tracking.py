@@ -1,0 +1,161 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a run writes down: CSV files, and TensorBoard's event files on request."""
+from __future__ import annotations
+
+import csv
+import io
+import os
+from pathlib import Path
+from typing import Any
+
+from trainer_node.errors import RunError
+from trainer_node.run_folder import RunFolder
+
+# the report's columns (4.2.3) first, then more
+EPISODE_COLUMNS = (
+    'episode', 'train_reward', 'validation_reward', 'epsilon', 'learning_rate',
+    'frames', 'decisions', 'lap_finished', 'ended_early', 'tiles_visited', 'tiles_total',
+    'standing_still', 'loss', 'q_mean', 'td_error', 'updates', 'replay_size', 'replay_ratio',
+    'weights_version', 'wall_seconds')
+VALIDATION_COLUMNS = (
+    'version', 'episode', 'decisions', 'updates', 'wall_seconds', 'episodes', 'mean', 'std',
+    'minimum', 'maximum', 'completed', 'seconds')
+UPDATE_COLUMNS = (
+    'updates', 'decisions', 'loss', 'td_error', 'q_mean', 'grad_norm', 'learning_rate', 'epsilon',
+    'wall_seconds', 'updates_per_second')
+
+
+class CsvFile:
+    """A CSV file that grows row by row and can be set back to an earlier length."""
+
+    def __init__(self, path: Path, columns: tuple[str, ...]) -> None:
+        """
+        Open or begin the file.
+
+        Raises:
+            OSError: the file cannot be written.
+            RunError: the file has other columns.
+        """
+        self.path = path
+        self.columns = columns
+        self._file = open(path, 'ab')  # noqa: SIM115
+        if self._file.tell() == 0:
+            self._append(columns)
+            return
+        with open(path, newline='') as file:
+            header = next(csv.reader(file), [])
+        if tuple(header) != columns:
+            raise RunError(f'{path}: columns are {header}; expected {list(columns)}')
+
+    def write(self, values: dict[str, Any]) -> None:
+        """Append a row; a column without a value stays empty."""
+        self._append([_cell(values.get(column)) for column in self.columns])
+
+    def position(self) -> int:
+        """Return the length in bytes, all of it on the disk."""
+        self._file.flush()
+        os.fsync(self._file.fileno())
+        return os.fstat(self._file.fileno()).st_size
+
+    def set_back(self, position: int) -> None:
+        """
+        Cut the file to an earlier length.
+
+        Raises:
+            RunError: the file is shorter than that.
+        """
+        size = os.fstat(self._file.fileno()).st_size
+        if size < position:
+            raise RunError(f'{self.path}: {size} bytes, but {position} at the checkpoint')
+        self._file.truncate(position)
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def _append(self, cells: Any) -> None:
+        text = io.StringIO()
+        csv.writer(text, lineterminator='\n').writerow(cells)
+        self._file.write(text.getvalue().encode())
+        self._file.flush()
+
+
+def _cell(value: Any) -> Any:
+    if isinstance(value, float):
+        return int(value) if value.is_integer() and abs(value) < 1e15 else f'{value:.6g}'
+    return '' if value is None else int(value) if isinstance(value, bool) else value
+
+
+class Tracking:
+    """The three CSV files of a run, and TensorBoard when asked for."""
+
+    def __init__(self, folder: RunFolder, *, tensorboard: bool = False) -> None:
+        """Open the files; raises OSError or RunError."""
+        self.episodes = CsvFile(folder.episodes, EPISODE_COLUMNS)
+        self.validation = CsvFile(folder.validation, VALIDATION_COLUMNS)
+        self.updates = CsvFile(folder.updates, UPDATE_COLUMNS)
+        self._writer = None
+        if tensorboard:
+            self._writer = _tensorboard_writer(folder.tensorboard)
+
+    def episode(self, values: dict[str, Any]) -> None:
+        """Write a training episode down."""
+        self.episodes.write(values)
+        self._scalars(values['decisions'], {
+            'charts/episodic_return': values['train_reward'],
+            'charts/episodic_length': values['frames'],
+            'charts/epsilon': values['epsilon'],
+            'charts/lap_finished': values['lap_finished'],
+        })
+
+    def validated(self, values: dict[str, Any]) -> None:
+        """Write a validation down."""
+        self.validation.write(values)
+        self._scalars(values['decisions'], {
+            'charts/validation_return': values['mean'],
+            'charts/validation_completed': values['completed'],
+        })
+
+    def updated(self, values: dict[str, Any]) -> None:
+        """Write the figures of some hundred updates down."""
+        self.updates.write(values)
+        self._scalars(values['decisions'], {
+            'losses/td_loss': values['loss'],
+            'losses/q_values': values['q_mean'],
+            'charts/learning_rate': values['learning_rate'],
+            'charts/updates_per_second': values['updates_per_second'],
+        })
+
+    def positions(self) -> dict[str, int]:
+        """Return the length of each CSV file."""
+        return {name: getattr(self, name).position()
+                for name in ('episodes', 'validation', 'updates')}
+
+    def set_back(self, positions: dict[str, int]) -> None:
+        """Cut the CSV files to the lengths of a checkpoint; raises RunError."""
+        for name, position in positions.items():
+            getattr(self, name).set_back(position)
+
+    def close(self) -> None:
+        """Close all files."""
+        for name in ('episodes', 'validation', 'updates'):
+            getattr(self, name).close()
+        if self._writer is not None:
+            self._writer.close()
+
+    def _scalars(self, step: int, values: dict[str, float]) -> None:
+        if self._writer is not None:
+            for name, value in values.items():
+                if value is not None:
+                    self._writer.add_scalar(name, float(value), int(step))
+
+
+def _tensorboard_writer(folder: Path) -> Any:
+    """Return a writer of event files; raises RunError if TensorBoard is not installed."""
+    try:
+        from torch.utils.tensorboard import SummaryWriter
+    except ImportError:
+        raise RunError('event files need the package tensorboard: '
+                       'pip install tensorboard') from None
+    return SummaryWriter(str(folder))
