@@ -182,7 +182,7 @@ def drive(
         if not arguments.no_bag:
             group.start('recorder', node_command(
                 'bags.recorder_node', 'bag_recorder_node', {
-                    'bag': str(folder / 'bag'),
+                    'folder': str(folder / 'bag'),
                     'provenance': provenance_text(simulator=simulator, policy=policy),
                 }, space))
         group.start('policy', node_command('dqn_policy_node', 'dqn_policy_node', policy, space))

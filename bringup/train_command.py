@@ -1,0 +1,218 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""`carracing train`: trainer, simulator, policy and validator; learns until it is stopped."""
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterable
+import json
+from pathlib import Path
+import time
+
+from bringup.display import Display
+from bringup.monitor import GraphState, Monitor
+from bringup.processes import node_command, ProcessGroup
+from bringup.provenance import provenance_text
+from bringup.run_command import new_folder, refuse_second_simulator, stop_on_signals
+from msgs_bridge.errors import BridgeError
+from msgs_bridge.settings import parse_text
+from rich.console import Console
+from rich.table import Table
+from trainer_node.hyperparameters import Hyperparameters
+from trainer_node.run_folder import RunFolder
+from trainer_node.training import open_training
+
+TRAINER = 'trainer_node'
+SIMULATOR = 'carracing_sim_node'
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of `carracing train`."""
+    parser.add_argument('--preset', default='racing',
+                        help='racing, report, or the path of a YAML file (default racing)')
+    parser.add_argument('--run', type=Path, default=None,
+                        help='run folder (default: runs/<preset>-<time>)')
+    parser.add_argument('--resume', type=Path, default=None, metavar='RUN',
+                        help='go on with a run folder')
+    parser.add_argument('--minutes', type=float, default=None,
+                        help="wall time of the whole run; the preset's own by default")
+    parser.add_argument('--set', action='append', default=[], metavar='NAME=VALUE',
+                        help='another value for a hyperparameter; may be given several times')
+    parser.add_argument('--bag', action='store_true', help='record every topic into RUN/bag')
+    parser.add_argument('--from-bag', nargs='+', type=Path, default=None, metavar='BAG',
+                        help='learn from the transitions in bags instead of driving')
+    parser.add_argument('--tensorboard', action='store_true',
+                        help='write TensorBoard event files into RUN/tensorboard')
+    parser.add_argument('--namespace', default='', help='ROS namespace of the nodes')
+
+
+def read_overrides(pairs: Iterable[str]) -> dict[str, object]:
+    """
+    Return hyperparameters from NAME=VALUE texts.
+
+    Raises:
+        SettingsError: an unknown name or a value that is not accepted.
+        BridgeError: a text without an equals sign.
+    """
+    overrides = {}
+    for pair in pairs:
+        name, equals, text = pair.partition('=')
+        if not equals:
+            raise BridgeError(f'--set {pair!r}; expected NAME=VALUE')
+        overrides[name.strip()] = parse_text(Hyperparameters, name.strip(), text.strip())
+    return overrides
+
+
+def main(arguments: argparse.Namespace) -> int:
+    """Train until the run is complete or the user stops it; return the exit code."""
+    console = Console()
+    stop_on_signals()
+    overrides = read_overrides(arguments.set)
+    if arguments.minutes is not None:
+        overrides['run_minutes'] = parse_text(
+            Hyperparameters, 'run_minutes', str(arguments.minutes))
+    resume = arguments.resume is not None
+    folder = arguments.resume if resume else arguments.run
+    if not resume:
+        # before the folder is made, so that a wrong name leaves nothing behind
+        from trainer_node.hyperparameters import load_preset
+        load_preset(arguments.preset, overrides)
+        folder = new_folder(folder, Path(arguments.preset).stem)
+    training = open_training(folder, preset=arguments.preset, overrides=overrides, resume=resume,
+                             tensorboard=arguments.tensorboard)
+    hyperparameters, episodes = training.hyperparameters, training.episodes
+    if arguments.from_bag:
+        from bringup.train_from_bag import learn_from_bags
+        return learn_from_bags(training, arguments.from_bag, console)
+    if not resume:
+        training.save()
+    training.close()
+    del training
+    monitor = Monitor(arguments.namespace)
+    try:
+        refuse_second_simulator(monitor)
+        console.print(f'run folder {folder}', highlight=False, soft_wrap=True)
+        interrupted = train(
+            arguments, hyperparameters, episodes, overrides, folder, monitor, console)
+    finally:
+        monitor.close()
+    run = RunFolder(folder)
+    for name, path in (('best', run.best), ('final', run.final)):
+        if path.is_dir():
+            console.print(f'{name} model: {path}', highlight=False, soft_wrap=True)
+    if interrupted:
+        console.print(f'go on with: carracing train --resume {folder}', highlight=False,
+                      soft_wrap=True)
+    return 130 if interrupted else 0
+
+
+def train(
+    arguments: argparse.Namespace, hyperparameters: Hyperparameters, episodes: int,
+    overrides: dict[str, object], folder: Path, monitor: Monitor, console: Console,
+) -> bool:
+    """Run the graph until the trainer is done; return whether the user stopped it."""
+    space = arguments.namespace
+    simulator = {
+        'action_repeat': hyperparameters.action_repeat,
+        'seed': hyperparameters.seed,
+        'seed_each_episode': True,
+        'first_episode': episodes,
+        'early_end_frames': hyperparameters.early_end_frames,
+        'wait_for_subscribers': 2 if arguments.bag else 1,
+    }
+    policy = {'model': '', 'explore': True, 'seed': hyperparameters.seed}
+    trainer = {
+        'run': str(folder), 'resume': True, 'preset': arguments.preset,
+        'overrides': json.dumps(overrides), 'tensorboard': arguments.tensorboard,
+    }
+    validator = {'seed': hyperparameters.validation_seed,
+                 'tracks': hyperparameters.validation_tracks}
+    with ProcessGroup(folder / 'log') as group:
+        if arguments.bag:
+            group.start('recorder', node_command('bags.recorder_node', 'bag_recorder_node', {
+                'folder': str(next_bag(folder)),
+                'provenance': provenance_text(
+                    simulator=simulator, policy=policy, trainer=trainer)}, space))
+        group.start('trainer', node_command('trainer_node', TRAINER, trainer, space))
+        group.start('policy', node_command('dqn_policy_node', 'dqn_policy_node', policy, space))
+        # validation takes the time the others leave
+        group.start('validator', node_command(
+            'evaluation.node', 'validation_node', validator, space), nice=5)
+        group.start('simulator', node_command(SIMULATOR, SIMULATOR, simulator, space))
+        try:
+            with Display(monitor.state, training_table, training_line, console) as display:
+                while group.check() is None:
+                    display.update()
+                    time.sleep(0.1)
+        except KeyboardInterrupt:
+            console.print('stopping', highlight=False)
+            return True
+        finally:
+            killed = group.stop()
+            if killed:
+                console.print(f'killed, because they did not stop in time: {", ".join(killed)}',
+                              highlight=False)
+    return False
+
+
+def next_bag(folder: Path) -> Path:
+    """Return a bag folder that does not exist yet: bag, then bag-1, bag-2 after resumes."""
+    path, number = folder / 'bag', 0
+    while path.exists():
+        number += 1
+        path = folder / f'bag-{number}'
+    return path
+
+
+LIVE_VALUES = (
+    ('return, last episode', 'last_return', '.1f'),
+    ('return, moving average', 'moving_average', '.1f'),
+    ('episodes', 'episodes', '.0f'),
+    ('decisions', 'decisions', '.0f'),
+    ('updates', 'updates', '.0f'),
+    ('epsilon', 'epsilon', '.3f'),
+    ('learning rate', 'learning_rate', '.2e'),
+    ('updates/s', 'updates_per_second', '.1f'),
+    ('samples per transition', 'replay_ratio', '.2f'),
+    ('replay', 'replay_size', '.0f'),
+    ('TD error', 'td_error', '.3f'),
+    ('mean Q', 'q_mean', '.2f'),
+    ('weights version', 'weights_version', '.0f'),
+    ('minutes', 'wall_minutes', '.1f'),
+    ('minutes left', 'minutes_left', '.1f'),
+)
+"""Label, name in the trainer's diagnostics and format of what the display shows."""
+
+
+def training_table(state: GraphState) -> Table:
+    """Return the state of learning as a table."""
+    table = Table(title=state.health.get(TRAINER, {}).get('summary', 'starting'))
+    table.add_column('')
+    table.add_column('', justify='right')
+    for label, name, form in LIVE_VALUES:
+        value = state.value(TRAINER, name)
+        table.add_row(label, '-' if value != value else format(value, form))
+    table.add_row('decisions/s', f'{state.value(SIMULATOR, "decisions_per_second", 0.0):.0f}')
+    age = (state.value(TRAINER, 'weights_version')
+           - state.value('dqn_policy_node', 'weights_version'))
+    table.add_row('weight age (versions)', '-' if age != age else f'{age:.0f}')
+    for result in list(state.validations)[-3:]:
+        table.add_row(f'validation of version {result["version"]:.0f}',
+                      f'{result["mean"]:.1f} ± {result["std"]:.1f}, '
+                      f'{result["completed"]:.0%} completed')
+    return table
+
+
+def training_line(state: GraphState) -> str:
+    """Return the state of learning as one plain line."""
+    def show(name: str, form: str) -> str:
+        return format(state.value(TRAINER, name, 0.0), form)
+
+    line = (f'{show("wall_minutes", ".1f")} min: episode {show("episodes", ".0f")}, '
+            f'return {show("last_return", ".1f")}, average {show("moving_average", ".1f")}, '
+            f'epsilon {show("epsilon", ".3f")}, {show("updates_per_second", ".1f")} updates/s, '
+            f'{state.value(SIMULATOR, "decisions_per_second", 0.0):.0f} decisions/s')
+    if state.validations:
+        result = state.validations[-1]
+        line += f'; validation {result["mean"]:.1f} ± {result["std"]:.1f}'
+    return line
