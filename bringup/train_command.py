@@ -4,8 +4,6 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable
-import json
 from pathlib import Path
 import time
 
@@ -14,13 +12,12 @@ from bringup.monitor import GraphState, Monitor
 from bringup.processes import node_command, ProcessGroup
 from bringup.provenance import provenance_text
 from bringup.run_command import new_folder, refuse_second_simulator, stop_on_signals
-from msgs_bridge.errors import BridgeError
-from msgs_bridge.settings import parse_text
 from rich.console import Console
 from rich.table import Table
+from trainer_node.checkpoint_file import read_state
 from trainer_node.hyperparameters import Hyperparameters
+from trainer_node.open_run import read_overrides, run_settings
 from trainer_node.run_folder import RunFolder
-from trainer_node.training import open_training
 
 TRAINER = 'trainer_node'
 SIMULATOR = 'carracing_sim_node'
@@ -46,48 +43,29 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--namespace', default='', help='ROS namespace of the nodes')
 
 
-def read_overrides(pairs: Iterable[str]) -> dict[str, object]:
-    """
-    Return hyperparameters from NAME=VALUE texts.
-
-    Raises:
-        SettingsError: an unknown name or a value that is not accepted.
-        BridgeError: a text without an equals sign.
-    """
-    overrides = {}
-    for pair in pairs:
-        name, equals, text = pair.partition('=')
-        if not equals:
-            raise BridgeError(f'--set {pair!r}; expected NAME=VALUE')
-        overrides[name.strip()] = parse_text(Hyperparameters, name.strip(), text.strip())
-    return overrides
-
-
 def main(arguments: argparse.Namespace) -> int:
     """Train until the run is complete or the user stops it; return the exit code."""
     console = Console()
     stop_on_signals()
-    overrides = read_overrides(arguments.set)
+    overrides = list(arguments.set)
     if arguments.minutes is not None:
-        overrides['run_minutes'] = parse_text(
-            Hyperparameters, 'run_minutes', str(arguments.minutes))
+        overrides.append(f'run_minutes={arguments.minutes}')
     resume = arguments.resume is not None
     folder = arguments.resume if resume else arguments.run
-    if not resume:
-        # before the folder is made, so that a wrong name leaves nothing behind
-        from trainer_node.hyperparameters import load_preset
-        load_preset(arguments.preset, overrides)
+    # before the folder is made, so that a wrong name leaves nothing behind
+    hyperparameters = run_settings(
+        folder, arguments.preset, read_overrides(overrides), resume=resume)
+    episodes = 0
+    if resume:
+        episodes = read_state(RunFolder(folder).checkpoint)['counters']['episodes']
+        (folder / 'log').mkdir(exist_ok=True)
+    else:
         folder = new_folder(folder, Path(arguments.preset).stem)
-    training = open_training(folder, preset=arguments.preset, overrides=overrides, resume=resume,
-                             tensorboard=arguments.tensorboard)
-    hyperparameters, episodes = training.hyperparameters, training.episodes
     if arguments.from_bag:
         from bringup.train_from_bag import learn_from_bags
-        return learn_from_bags(training, arguments.from_bag, console)
-    if not resume:
-        training.save()
-    training.close()
-    del training
+        return learn_from_bags(
+            hyperparameters, folder, arguments.from_bag, console, resume=resume,
+            tensorboard=arguments.tensorboard)
     monitor = Monitor(arguments.namespace)
     try:
         refuse_second_simulator(monitor)
@@ -108,7 +86,7 @@ def main(arguments: argparse.Namespace) -> int:
 
 def train(
     arguments: argparse.Namespace, hyperparameters: Hyperparameters, episodes: int,
-    overrides: dict[str, object], folder: Path, monitor: Monitor, console: Console,
+    overrides: list[str], folder: Path, monitor: Monitor, console: Console,
 ) -> bool:
     """Run the graph until the trainer is done; return whether the user stopped it."""
     space = arguments.namespace
@@ -122,8 +100,9 @@ def train(
     }
     policy = {'model': '', 'explore': True, 'seed': hyperparameters.seed}
     trainer = {
-        'run': str(folder), 'resume': True, 'preset': arguments.preset,
-        'overrides': json.dumps(overrides), 'tensorboard': arguments.tensorboard,
+        'run': str(folder), 'resume': arguments.resume is not None,
+        'preset': arguments.preset, 'overrides': ','.join(overrides),
+        'tensorboard': arguments.tensorboard,
     }
     validator = {'seed': hyperparameters.validation_seed,
                  'tracks': hyperparameters.validation_tracks}
@@ -166,7 +145,7 @@ def next_bag(folder: Path) -> Path:
 
 LIVE_VALUES = (
     ('return, last episode', 'last_return', '.1f'),
-    ('return, moving average', 'moving_average', '.1f'),
+    ('return, moving average', 'mean_return', '.1f'),
     ('episodes', 'episodes', '.0f'),
     ('decisions', 'decisions', '.0f'),
     ('updates', 'updates', '.0f'),
@@ -178,8 +157,8 @@ LIVE_VALUES = (
     ('TD error', 'td_error', '.3f'),
     ('mean Q', 'q_mean', '.2f'),
     ('weights version', 'weights_version', '.0f'),
-    ('minutes', 'wall_minutes', '.1f'),
-    ('minutes left', 'minutes_left', '.1f'),
+    ('seconds', 'wall_seconds', '.0f'),
+    ('share of the run done', 'progress', '.1%'),
 )
 """Label, name in the trainer's diagnostics and format of what the display shows."""
 
@@ -208,8 +187,9 @@ def training_line(state: GraphState) -> str:
     def show(name: str, form: str) -> str:
         return format(state.value(TRAINER, name, 0.0), form)
 
-    line = (f'{show("wall_minutes", ".1f")} min: episode {show("episodes", ".0f")}, '
-            f'return {show("last_return", ".1f")}, average {show("moving_average", ".1f")}, '
+    minutes = state.value(TRAINER, 'wall_seconds', 0.0) / 60
+    line = (f"{minutes:.1f} min: episode {show('episodes', '.0f')}, "
+            f'return {show("last_return", ".1f")}, average {show("mean_return", ".1f")}, '
             f'epsilon {show("epsilon", ".3f")}, {show("updates_per_second", ".1f")} updates/s, '
             f'{state.value(SIMULATOR, "decisions_per_second", 0.0):.0f} decisions/s')
     if state.validations:

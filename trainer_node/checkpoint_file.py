@@ -67,3 +67,20 @@ def read_checkpoint(path: Path | str) -> tuple[dict[str, np.ndarray], dict[str, 
         if isinstance(error, RunError):
             raise
         raise RunError(f'{path}: damaged checkpoint: {error}') from None
+
+
+def read_state(path: Path | str) -> dict[str, Any]:
+    """
+    Return only the JSON state of a checkpoint; the arrays are not read.
+
+    Raises:
+        RunError: the file is missing, cut off or no checkpoint.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise RunError(f'{path}: no such checkpoint')
+    try:
+        with safetensors.safe_open(path, 'np') as file:
+            return json.loads((file.metadata() or {})['state'])
+    except (safetensors.SafetensorError, ValueError, KeyError, OSError) as error:
+        raise RunError(f'{path}: damaged checkpoint: {error}') from None

@@ -15,6 +15,7 @@ the log says where, or that it could not be saved (seed document 4.2.2).
 """
 from __future__ import annotations
 
+from array import array
 import queue
 import sys
 import threading
@@ -22,7 +23,7 @@ import time
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from msgs_bridge import topics
-from msgs_bridge.errors import BridgeError
+from msgs_bridge.errors import BridgeError, MessageError
 from msgs_bridge.images import image_to_array
 from msgs_bridge.named_values import read_named_values
 from msgs_bridge.node_shell import Finished, NodeShell, run_node
@@ -32,8 +33,9 @@ from msgs_bridge.transitions import Transition, TransitionJoiner
 from msgs_bridge.twists import twist_to_action
 from std_msgs.msg import UInt8MultiArray
 from std_srvs.srv import SetBool, Trigger
+from trainer_node.open_run import read_overrides, run_settings
 from trainer_node.settings import TrainerSettings
-from trainer_node.training import open_training
+from trainer_node.training import Training
 
 # A snapshot for the diagnostics is taken by the learning thread, every so many transitions.
 STATUS_EVERY = 20
@@ -51,9 +53,7 @@ class TrainerNode(NodeShell):
         """Declare parameters, create or resume the run and start to learn."""
         super().__init__('trainer_node', TrainerSettings)
         settings = self.settings
-        self._training = open_training(
-            settings.run, preset=settings.preset, overrides=settings.overrides,
-            resume=settings.resume, tensorboard=settings.tensorboard)
+        self._training = self._open()
         self._joiner = TransitionJoiner()
         self._queue: queue.SimpleQueue[object] = queue.SimpleQueue()
         self._status = self._training.status()
@@ -70,10 +70,20 @@ class TrainerNode(NodeShell):
         self.create_service(Trigger, '~/evaluate', self._on_evaluate)
         self._pause = self.create_client(SetBool, f'{settings.simulator}/pause')
         self._learner_called = self.create_guard_condition(self._on_learner)
-        self._publish_weights(validate=False)
+        self._publish_weights()
         self._learning = threading.Thread(target=self._learn, name='learning')
         self._learning.start()
         self.get_logger().info(f'learning into {settings.run}')
+
+    def _open(self) -> Training:
+        settings = self.settings
+        overrides = read_overrides(filter(None, settings.overrides.split(',')))
+        hyperparameters = run_settings(
+            settings.run, settings.preset, overrides, resume=settings.resume)
+        options = {'device': settings.device, 'tensorboard': settings.tensorboard}
+        if settings.resume:
+            return Training.resume(settings.run, hyperparameters, **options)
+        return Training.create(hyperparameters, settings.run, **options)
 
     # --- ROS thread: messages to transitions
 
@@ -139,55 +149,55 @@ class TrainerNode(NodeShell):
 
     def _learn_until_stopped(self) -> None:
         training = self._training
-        saved_at = time.monotonic()
-        waiting_for, give_up_at = None, 0.0
+        # version whose validation is waited for at the end of the run, and until when
+        last_version, give_up_at = None, 0.0
         taken = 0
         while not (self._stopping.is_set() and self._queue.empty()):
             try:
                 item = self._queue.get(timeout=0.2)
             except queue.Empty:
                 item = None
-            if isinstance(item, Transition) and waiting_for is None:
-                training.add(item)
-                taken += 1
-                if taken % STATUS_EVERY == 0:
-                    self._status = training.status()
-            elif isinstance(item, dict):
-                training.record_validation(item)
-                if waiting_for is not None and item['version'] >= waiting_for:
-                    break
-            elif item == 'validate':
-                self._publish_weights(validate=True)
-            now = time.monotonic()
-            if item == 'save' or now - saved_at > self.settings.checkpoint_seconds:
+            try:
+                if isinstance(item, Transition) and last_version is None:
+                    training.add(item)
+                    taken += 1
+                elif isinstance(item, dict):
+                    self._take_validation(item)
+                    if last_version is not None and item['version'] >= last_version:
+                        break
+            except MessageError as error:
+                self.get_logger().warn(f'left out: {error}', throttle_duration_sec=5.0)
+            if taken % STATUS_EVERY == 0:
+                self._status = training.status()
+            if item == 'save' or training.checkpoint_due():
                 self.get_logger().info(f'saved {training.save()}')
-                saved_at = time.monotonic()
+            if item == 'validate' or training.weights_due():
+                self._publish_weights(validate=True if item == 'validate' else None)
             if self._pausing and self._queue.qsize() <= self.settings.queue_limit // 4:
                 self._learner_called.trigger()
-            if training.weights_due():
-                self._publish_weights(validate=training.validation_due())
-            if waiting_for is not None:
-                if now > give_up_at:
+            if last_version is not None:
+                if time.monotonic() > give_up_at:
                     self.get_logger().warn('no validation of the last weights came in time')
                     break
-            elif self._over(training):
+            elif training.complete:
                 if not self.settings.last_validation_seconds or self._stopping.is_set():
                     break
-                waiting_for = self._publish_weights(validate=True)
-                give_up_at = now + self.settings.last_validation_seconds
-        self._complete = self._over(training) and not self._stopping.is_set()
+                last_version = self._publish_weights(validate=True)
+                give_up_at = time.monotonic() + self.settings.last_validation_seconds
+        self._complete = training.complete
 
-    def _over(self, training: object) -> bool:
-        minutes = self.settings.minutes
-        return training.finished or 0 < minutes * 60 <= training.wall_seconds
+    def _take_validation(self, values: dict[str, float]) -> None:
+        if self._training.record_validation(values):
+            self.get_logger().info(
+                f'version {values["version"]:.0f} is the best so far: {values["mean"]:.1f}')
 
-    def _publish_weights(self, *, validate: bool) -> int:
+    def _publish_weights(self, *, validate: bool | None = None) -> int:
         """Send the acting weights; return their version."""
         data = self._training.weights_message(validate=validate)
         if self.context.ok():
             message = UInt8MultiArray()
-            # a buffer is copied at once; a list would be copied byte by byte
-            message.data = data
+            # array('B') is copied at once; a list would be copied byte by byte
+            message.data = array('B', data)
             self._weights_publisher.publish(message)
         return self._training.version
 
@@ -206,13 +216,10 @@ class TrainerNode(NodeShell):
         self._stopping.set()
         self._learning.join()
         try:
-            saved = self._training.save()
-            if self._complete:
-                self._training.finish()
-            self.get_logger().info(f'saved {saved}')
+            saved = self._training.finish() if self._complete else self._training.save()
+            sys.stderr.write(f'saved {saved}\n')
         except (OSError, BridgeError) as error:
             sys.stderr.write(f'error: the run could NOT be saved: {error}\n')
-        self._training.close()
 
 
 def main(args: list[str] | None = None) -> int:

@@ -17,16 +17,14 @@ class TrainerSettings:
     overrides: str = setting(
         '', 'hyperparameters that differ from the preset: name=value,name=value')
     resume: bool = setting(False, 'go on from the checkpoint in the run folder')
+    device: str = setting(
+        'auto', 'where to learn: CUDA or ROCm when there, or the CPU',
+        choices=('auto', 'cpu', 'cuda'))
     simulator: str = setting(
         'carracing_sim_node', 'node whose ~/pause is called while learning lags behind')
     queue_limit: int = setting(
         64, 'transitions waiting to be learned from at which the simulator is paused',
         low=1, high=100_000)
-    checkpoint_seconds: float = setting(
-        300.0, 'seconds of wall time between two checkpoints', low=1.0, high=86_400.0, live=True)
-    minutes: float = setting(
-        0.0, 'minutes of wall time, earlier runs of the same folder included, after which the '
-        'run is complete; 0 = no end', low=0.0, high=100_000.0)
     last_validation_seconds: float = setting(
         90.0, 'seconds to wait at the end for the validation of the last weights; 0 = do not ask',
         low=0.0, high=3600.0)
