@@ -1,0 +1,77 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""The episodes that a bag holds, from its `step` bundles."""
+from __future__ import annotations
+
+import dataclasses
+
+from bags.contract import find_topic
+from bags.decode import BundleDecoder
+from bags.reader import BagReader
+from msgs_bridge.topics import STEP
+
+NEEDED = ('reward', 'terminated', 'truncated', 'lap_finished', 'episode', 'decision', 'step',
+          'episode_return')
+
+
+@dataclasses.dataclass
+class Episode:
+    """
+    One episode, or what the bag holds of it.
+
+    Attributes:
+        number: of the episode in its run.
+        seed: of its track; -1 if it came from a stream, None if the bag does not say.
+        start_time, end_time: log times of its first and last message, ns.
+        decisions, frames: published frames after the reset frame, and simulator frames.
+        episode_return: sum of rewards up to the last message.
+        lap_finished, terminated, truncated: how it ended.
+        whole: whether its first and its last frame are in the bag.
+    """
+
+    number: int
+    seed: int | None
+    start_time: int
+    end_time: int = 0
+    decisions: int = 0
+    frames: int = 0
+    episode_return: float = 0.0
+    lap_finished: bool = False
+    terminated: bool = False
+    truncated: bool = False
+    whole: bool = False
+
+
+def find_episodes(reader: BagReader, *, namespace: str = '') -> list[Episode]:
+    """
+    Return the episodes of a bag in order; none if it has no `step` topic.
+
+    Raises:
+        BagError: a damaged bag.
+        MessageError: a `step` bundle that lacks what it must have.
+    """
+    name = find_topic(reader, STEP, namespace=namespace)
+    if name is None:
+        return []
+    decoder = BundleDecoder()
+    episodes: list[Episode] = []
+    present: Episode | None = None
+    from_start = False
+    for message in reader.messages([name]):
+        facts = decoder.decode(message.data, name).values_with(NEEDED)
+        number = int(facts['episode'])
+        if present is None or number != present.number or (
+                facts['decision'] == 0 and present.decisions > 0):
+            seed = int(facts['seed']) if 'seed' in facts else None
+            present = Episode(number, seed, message.log_time)
+            from_start = facts['decision'] == 0
+            episodes.append(present)
+        present.end_time = message.log_time
+        present.decisions = int(facts['decision'])
+        present.frames = int(facts['step'])
+        present.episode_return = facts['episode_return']
+        present.lap_finished = facts['lap_finished'] > 0
+        present.terminated = facts['terminated'] > 0
+        present.truncated = facts['truncated'] > 0
+        present.whole = from_start and (present.terminated or present.truncated)
+    return episodes

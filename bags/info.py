@@ -1,0 +1,156 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a bag holds, as `ros2 bag info` shows it, and the episodes in it."""
+from __future__ import annotations
+
+import dataclasses
+import datetime
+from typing import Any
+
+from rich.console import Console, Group
+from rich.table import Table
+from rich.text import Text
+
+from bags.episodes import Episode, find_episodes
+from bags.reader import BagReader
+from msgs_bridge.errors import MessageError
+
+MANY_EPISODES = 20
+
+
+def bag_info(reader: BagReader, *, namespace: str = '') -> dict[str, Any]:
+    """
+    Return everything that is worth knowing of a bag, as JSON can hold it; times in ns.
+
+    Raises:
+        BagError: a damaged bag.
+    """
+    seconds = (reader.end_time - reader.start_time) / 1e9
+    try:
+        episodes = find_episodes(reader, namespace=namespace)
+    except MessageError as error:
+        # somebody else's topic of that name
+        episodes = []
+        reader.problems.append(f'no episodes: {error}')
+    whole = [episode for episode in episodes if episode.whole]
+    return {
+        'path': str(reader.path),
+        'storage': reader.storage,
+        'ros_distro': reader.metadata.ros_distro if reader.metadata else '',
+        'files': [{'name': file.name, 'bytes': file.stat().st_size} for file in reader.files],
+        'bytes': sum(file.stat().st_size for file in reader.files),
+        'compression': _compression(reader),
+        'start_time': reader.start_time,
+        'end_time': reader.end_time,
+        'seconds': seconds,
+        'messages': reader.message_count,
+        'topics': [
+            {
+                'name': topic.name, 'type': topic.type_name, 'messages': topic.message_count,
+                'rate': topic.message_count / seconds if seconds > 0 else 0.0,
+                'serialization': topic.encoding, 'publishers': len(topic.qos),
+                'reliability': _policies(topic.qos, 'reliability'),
+                'durability': _policies(topic.qos, 'durability'),
+                'type_hash': topic.schema.type_hash,
+            }
+            for topic in sorted(reader.topics.values(), key=lambda topic: topic.name)],
+        'custom_data': reader.custom_data,
+        'problems': reader.problems,
+        'episodes': [dataclasses.asdict(episode) for episode in episodes],
+        'laps': sum(episode.lap_finished for episode in episodes),
+        'whole_episodes': len(whole),
+        'mean_return': (sum(episode.episode_return for episode in whole) / len(whole)
+                        if whole else None),
+    }
+
+
+def show_info(info: dict[str, Any], console: Console) -> None:
+    """Print what `bag_info` returned as tables."""
+    console.print(Group(_head(info), _topics(info), _episodes(info)))
+
+
+def _head(info: dict[str, Any]) -> Table:
+    table = Table.grid(padding=(0, 2))
+    start = datetime.datetime.fromtimestamp(info['start_time'] / 1e9)
+    names = ', '.join(file['name'] for file in info['files'])
+    rows = {
+        'bag': info['path'],
+        'files': names if len(info['files']) <= 4 else f'{len(info["files"])} files',
+        'size': _size(info['bytes']),
+        'storage': ', '.join(filter(None, (
+            info['storage'], info['compression'], info['ros_distro']))),
+        'start': start.strftime('%Y-%m-%d %H:%M:%S.%f')[:-3],
+        'duration': f'{info["seconds"]:.3f} s',
+        'messages': f'{info["messages"]:,}',
+    }
+    rows.update(info['custom_data'])
+    rows.update({f'problem {number}': problem
+                 for number, problem in enumerate(info['problems'], 1)})
+    for name, value in rows.items():
+        table.add_row(Text(name, style='bold'), Text(value))
+    return table
+
+
+def _topics(info: dict[str, Any]) -> Table:
+    table = Table('topic', 'type', box=None, pad_edge=False, title_justify='left')
+    table.add_column('messages', justify='right')
+    table.add_column('rate / s', justify='right')
+    table.add_column('publishers', justify='right')
+    table.add_column('reliability')
+    table.add_column('durability')
+    for topic in info['topics']:
+        table.add_row(
+            topic['name'], topic['type'], f'{topic["messages"]:,}', f'{topic["rate"]:.1f}',
+            str(topic['publishers']), topic['reliability'], topic['durability'])
+    return table
+
+
+def _episodes(info: dict[str, Any]) -> Group | Table | Text:
+    episodes = [Episode(**episode) for episode in info['episodes']]
+    if not episodes:
+        return Text('no episodes')
+    table = Table(box=None, pad_edge=False)
+    for column in ('episode', 'seed', 'decisions', 'frames', 'return'):
+        table.add_column(column, justify='right')
+    table.add_column('end')
+    for episode in episodes[:MANY_EPISODES]:
+        seed = '' if episode.seed is None or episode.seed < 0 else str(episode.seed)
+        table.add_row(
+            str(episode.number), seed, str(episode.decisions), str(episode.frames),
+            f'{episode.episode_return:.1f}', _end(episode))
+    mean = info['mean_return']
+    told = (f'{len(episodes)} episodes, {info["whole_episodes"]} whole, '
+            f'{info["laps"]} laps finished')
+    if mean is not None:
+        told += f', mean return {mean:.1f}'
+    if len(episodes) > MANY_EPISODES:
+        told += f' (the first {MANY_EPISODES} are shown; --json has all)'
+    return Group(table, Text(told))
+
+
+def _end(episode: Episode) -> str:
+    if episode.lap_finished:
+        return 'lap finished'
+    if episode.terminated:
+        return 'left the field'
+    if episode.truncated:
+        return 'cut off'
+    return 'goes on after the bag'
+
+
+def _policies(profiles: list[dict[str, Any]], name: str) -> str:
+    return ', '.join(sorted({profile[name] for profile in profiles}))
+
+
+def _compression(reader: BagReader) -> str:
+    kinds = {span.compression or 'uncompressed' for file in reader.mcap_files
+             for span in file.spans}
+    return ', '.join(sorted(kinds))
+
+
+def _size(count: float) -> str:
+    for unit in ('B', 'KiB', 'MiB', 'GiB'):
+        if count < 1024:
+            return f'{count:.1f} {unit}' if unit != 'B' else f'{count} B'
+        count /= 1024
+    return f'{count:.1f} TiB'

@@ -1,0 +1,347 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+One MCAP file, read with bounds: nothing is believed that the file says of its own sizes.
+
+The file is mapped into memory; messages are views into the map, or into an unpacked chunk.
+"""
+from __future__ import annotations
+
+from collections.abc import Container, Iterator
+import dataclasses
+import heapq
+import mmap
+from pathlib import Path
+from typing import NamedTuple
+import zlib
+
+from mcap.opcode import Opcode
+from mcap.records import Channel, Schema
+
+from bags.compression import unpack
+from bags.errors import BagError
+from bags.mcap_records import (
+    CHUNK, HEAD, MAGIC, MAX_CHUNK, MESSAGE, parse_record, PROFILE,
+)
+
+# Chunks that overlap in time are merged; more than this unpacked at once is refused.
+MAX_UNPACKED = 1 << 30
+# Messages outside chunks (rosbag2's preset `fastwrite`) are read in stretches of this many bytes.
+STRETCH_BYTES = 4 << 20
+ENCODING = 'cdr'
+
+
+class RawMessage(NamedTuple):
+    """One message: log and publish time in ns, the channel of its file, serialized bytes."""
+
+    log_time: int
+    publish_time: int
+    channel: int
+    data: memoryview
+
+
+@dataclasses.dataclass(frozen=True)
+class Span:
+    """
+    A stretch of the file that holds messages: a chunk, or messages one after another.
+
+    Attributes:
+        offset, length: where the messages, packed or not, lie in the file.
+        start_time, end_time: first and last log time in ns.
+        compression, unpacked_size, crc: of a chunk; for plain messages empty, length and 0.
+    """
+
+    offset: int
+    length: int
+    start_time: int
+    end_time: int
+    compression: str
+    unpacked_size: int
+    crc: int
+
+
+class McapFile:
+    """
+    An MCAP file of profile ros2, open for reading.
+
+    Attributes:
+        path: the file.
+        schemas, channels: by number.
+        spans: where messages lie, in order of the file.
+        metadata: name -> values of the metadata records; of two of one name the last.
+        complete: whether the file ends as it should.
+        problem: why it is not complete, in words.
+    """
+
+    def __init__(self, path: Path | str, *, strict: bool = True) -> None:
+        """
+        Open a file and read through its records, chunks unopened.
+
+        Args:
+            path: the file.
+            strict: refuse a file that is cut off; otherwise read up to the cut.
+
+        Raises:
+            BagError: not an MCAP file, another profile, damaged, or cut off (if strict).
+        """
+        self.path = Path(path)
+        self.schemas: dict[int, Schema] = {}
+        self.channels: dict[int, Channel] = {}
+        self.spans: list[Span] = []
+        self.metadata: dict[str, dict[str, str]] = {}
+        self.counts: dict[int, int] = {}
+        self.complete = False
+        self.problem = ''
+        self._map: mmap.mmap | None = None
+        try:
+            with self.path.open('rb') as file:
+                self.size = file.seek(0, 2)
+                if self.size:
+                    self._map = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+        except OSError as error:
+            raise BagError(f'{path}: {error.strerror}') from None
+        self._view = memoryview(self._map or b'')
+        try:
+            self._scan()
+            if strict and not self.complete:
+                raise BagError(f'{path} is cut off: {self.problem}; '
+                               '`carracing bag recover` keeps what is whole')
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Let go of the file."""
+        self._view.release()
+        if self._map is not None:
+            try:
+                self._map.close()
+            except BufferError:
+                # a message is still in use; the map goes when the last one does
+                self._map = None
+
+    def __enter__(self) -> McapFile:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def span_bytes(self, span: Span, *, check: bool = True) -> memoryview:
+        """
+        Return the unpacked records of a span.
+
+        Raises:
+            BagError: it does not unpack, or its CRC is wrong.
+        """
+        packed = self._view[span.offset:span.offset + span.length]
+        try:
+            unpacked = unpack(span.compression, packed, span.unpacked_size)
+        except BagError as error:
+            raise BagError(f'{self.path} at byte {span.offset}: {error}') from None
+        if check and span.crc and zlib.crc32(unpacked) != span.crc:
+            raise BagError(f'{self.path} at byte {span.offset}: the CRC of the chunk is wrong')
+        return memoryview(unpacked)
+
+    def span_messages(
+        self, span: Span, channels: Container[int] | None = None, *, check: bool = True,
+    ) -> list[RawMessage]:
+        """
+        Return the messages of a span in the order of the file.
+
+        Schemas and channels in it are taken into `schemas` and `channels`.
+
+        Raises:
+            BagError: it is damaged.
+        """
+        data = self.span_bytes(span, check=check)
+        messages = []
+        add = messages.append
+        position, end = 0, len(data)
+        head, head_size = HEAD.unpack_from, HEAD.size
+        message_head, message_size = MESSAGE.unpack_from, MESSAGE.size
+        while position < end:
+            start = position + head_size
+            if start > end:
+                raise self._damaged(span, 'a record is cut off')
+            opcode, length = head(data, position)
+            position = start + length
+            if position > end:
+                raise self._damaged(span, f'a record of {length} bytes reaches beyond it')
+            if opcode == 5:
+                if length < message_size:
+                    raise self._damaged(span, f'a message of {length} bytes')
+                channel, _, log_time, publish_time = message_head(data, start)
+                if channels is None or channel in channels:
+                    add(RawMessage(
+                        log_time, publish_time, channel, data[start + message_size:position]))
+            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                self._learn(opcode, data[start:position])
+        return messages
+
+    def messages(
+        self,
+        channels: Container[int] | None = None,
+        start: int = 0,
+        stop: int = 2 ** 64,
+    ) -> Iterator[RawMessage]:
+        """
+        Yield messages by log time, `start` <= log time < `stop`, order of the file among equals.
+
+        Raises:
+            BagError: the file is damaged, or too much of it overlaps in time.
+        """
+        spans = sorted(
+            (span for span in self.spans if span.end_time >= start and span.start_time < stop),
+            key=lambda span: (span.start_time, span.offset))
+        pending: list[tuple[int, int, int, Iterator[RawMessage], RawMessage]] = []
+        held: dict[int, int] = {}
+        for number, span in enumerate(spans):
+            # everything before this span begins can go out, one span at a time
+            yield from self._drain(pending, held, span.start_time)
+            held[number] = span.unpacked_size
+            if sum(held.values()) > MAX_UNPACKED:
+                raise BagError(f'{self.path}: chunks of more than {MAX_UNPACKED} bytes overlap '
+                               'in time')
+            inside = [message for message in self.span_messages(span, channels)
+                      if start <= message.log_time < stop]
+            inside.sort(key=_log_time)
+            following = iter(inside)
+            first = next(following, None)
+            if first is None:
+                del held[number]
+            else:
+                heapq.heappush(pending, (first.log_time, number, 0, following, first))
+        yield from self._drain(pending, held, 2 ** 64)
+
+    @staticmethod
+    def _drain(
+        pending: list, held: dict[int, int], until: int,
+    ) -> Iterator[RawMessage]:
+        """Yield what is pending with a log time below `until`."""
+        while pending and pending[0][0] < until:
+            _, number, count, following, message = pending[0]
+            limit = min(until, pending[1][0]) if len(pending) > 1 else until
+            if len(pending) > 2:
+                limit = min(limit, pending[2][0])
+            # as long as this span is the earliest its messages need no heap
+            while True:
+                yield message
+                message = next(following, None)
+                if message is None or message.log_time >= limit:
+                    break
+            if message is None:
+                heapq.heappop(pending)
+                del held[number]
+            else:
+                heapq.heapreplace(
+                    pending, (message.log_time, number, count + 1, following, message))
+
+    def _scan(self) -> None:
+        """Go through the records of the file and note where messages lie."""
+        view = self._view
+        if self.size < len(MAGIC) or view[:len(MAGIC)] != MAGIC:
+            raise BagError(f'{self.path} is not an MCAP file')
+        position = len(MAGIC)
+        plain: list[int] | None = None
+        first = True
+        while True:
+            if position + HEAD.size > self.size:
+                self.problem = f'it ends at byte {self.size} within a record'
+                break
+            opcode, length = HEAD.unpack_from(view, position)
+            start = position + HEAD.size
+            if start + length > self.size:
+                self.problem = (f'the record at byte {position} needs {length} bytes, '
+                                f'{self.size - start} are there')
+                break
+            if first:
+                self._check_header(opcode, view[start:start + length])
+                first = False
+            if opcode != Opcode.MESSAGE and plain:
+                self._add_plain(plain)
+                plain = None
+            if opcode == Opcode.MESSAGE:
+                plain = self._extend_plain(plain, position, start, length)
+            elif opcode == Opcode.CHUNK:
+                self._add_chunk(start, length)
+            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                self._learn(opcode, view[start:start + length])
+            elif opcode == Opcode.METADATA:
+                record = self._parse(opcode, view[start:start + length])
+                self.metadata[record.name] = record.metadata
+            elif opcode == Opcode.STATISTICS:
+                self.counts = dict(self._parse(
+                    opcode, view[start:start + length]).channel_message_counts)
+            position = start + length
+            if opcode == Opcode.FOOTER:
+                self.complete = view[position:position + len(MAGIC)] == MAGIC
+                if not self.complete:
+                    self.problem = 'it has no end mark'
+                break
+        if plain:
+            self._add_plain(plain)
+        if first:
+            raise BagError(f'{self.path} is cut off: it has no header')
+
+    def _check_header(self, opcode: int, content: memoryview) -> None:
+        if opcode != Opcode.HEADER:
+            raise BagError(f'{self.path} does not begin with a header')
+        profile = self._parse(opcode, content).profile
+        if profile != PROFILE:
+            raise BagError(f'{self.path} has profile {profile!r}; accepted: {PROFILE!r}')
+
+    def _add_chunk(self, start: int, length: int) -> None:
+        view = self._view
+        if length < CHUNK.size + 12:
+            raise BagError(f'{self.path} at byte {start}: a chunk of {length} bytes')
+        first, last, size, crc = CHUNK.unpack_from(view, start)
+        position = start + CHUNK.size
+        name_size = int.from_bytes(view[position:position + 4], 'little')
+        position += 4
+        data = position + name_size + 8
+        if name_size > 16 or data > start + length:
+            raise BagError(f'{self.path} at byte {start}: the chunk is damaged')
+        packed = int.from_bytes(view[data - 8:data], 'little')
+        if data + packed > start + length:
+            raise BagError(f'{self.path} at byte {start}: the chunk is damaged')
+        if size > MAX_CHUNK:
+            raise BagError(f'{self.path} at byte {start}: chunk says it unpacks to {size} bytes; '
+                           f'accepted: {MAX_CHUNK}')
+        compression = bytes(view[position:position + name_size]).decode('ascii', 'replace')
+        self.spans.append(Span(data, packed, first, last, compression, size, crc))
+
+    def _extend_plain(
+        self, plain: list[int] | None, position: int, start: int, length: int,
+    ) -> list[int]:
+        """Add a message outside chunks to the present stretch: [start, end, first, last]."""
+        if length < MESSAGE.size:
+            raise BagError(f'{self.path} at byte {position}: a message of {length} bytes')
+        log_time = MESSAGE.unpack_from(self._view, start)[2]
+        if plain and start + length - plain[0] > STRETCH_BYTES:
+            self._add_plain(plain)
+            plain = None
+        if plain is None:
+            return [position, start + length, log_time, log_time]
+        return [plain[0], start + length, min(plain[2], log_time), max(plain[3], log_time)]
+
+    def _add_plain(self, plain: list[int]) -> None:
+        start, end, first, last = plain
+        self.spans.append(Span(start, end - start, first, last, '', end - start, 0))
+
+    def _learn(self, opcode: int, content: memoryview) -> None:
+        known = self.schemas if opcode == Opcode.SCHEMA else self.channels
+        record = self._parse(opcode, content)
+        known[record.id] = record
+
+    def _parse(self, opcode: int, content: memoryview) -> object:
+        try:
+            return parse_record(opcode, content)
+        except BagError as error:
+            raise BagError(f'{self.path}: {error}') from None
+
+    def _damaged(self, span: Span, why: str) -> BagError:
+        return BagError(f'{self.path}: the chunk at byte {span.offset} is damaged: {why}')
+
+
+def _log_time(message: RawMessage) -> int:
+    return message.log_time
