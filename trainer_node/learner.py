@@ -8,7 +8,7 @@ Each trick is named as in its paper and can be switched off without touching ano
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -77,6 +77,7 @@ class Learner:
             self.averaged.load_state_dict(self.online.state_dict())
         self.copy_to_target()
         self.updates = 0
+        self._dropout = np.random.default_rng([settings.seed, 1])
         self._parameters = list(self.online.parameters())
         self._optimizer = torch.optim.Adam(
             self._parameters, settings.learning_rate, eps=settings.adam_epsilon, fused=True)
@@ -100,7 +101,7 @@ class Learner:
         actions = actions.unsqueeze(1)
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.settings.bf16):
             target = self._targets(next_pictures, rewards, discounts)
-            values = self.online(pictures, dropout=True).gather(1, actions).squeeze(1)
+            values = self.online(pictures, dropout=self._dropout).gather(1, actions).squeeze(1)
         loss = self._loss(values, target)
         self._optimizer.zero_grad()
         loss.backward()
@@ -159,6 +160,15 @@ class Learner:
                 if not torch.isfinite(tensor).all():
                     parts.append(f'{what} weights {name!r} are not finite')
         return '; '.join(parts)
+
+    @property
+    def random_state(self) -> dict[str, Any]:
+        """Return the state of the generator of the dropout, JSON values."""
+        return self._dropout.bit_generator.state
+
+    @random_state.setter
+    def random_state(self, state: dict[str, Any]) -> None:
+        self._dropout.bit_generator.state = state
 
     def state_tensors(self) -> dict[str, torch.Tensor]:
         """Return every tensor of the networks and the optimizer by name."""

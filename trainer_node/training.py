@@ -462,6 +462,7 @@ class Training:
                 self._learning_rate.value, self._learning_rate.best_reward,
                 self._learning_rate.episodes_without_better],
             'random': self._random.bit_generator.state,
+            'learner_random': self.learner.random_state,
             'returns': list(self._returns),
             'of_episode': [self._of_episode.sums, self._of_episode.count],
             'of_row': [self._of_row.sums, self._of_row.count],
@@ -499,6 +500,7 @@ class Training:
         (self._learning_rate.value, self._learning_rate.best_reward,
          self._learning_rate.episodes_without_better) = state['learning_rate']
         self._random.bit_generator.state = state['random']
+        self.learner.random_state = state['learner_random']
         self._returns.extend(state['returns'])
         self._of_episode = _Mean(*state['of_episode'])
         self._of_row = _Mean(*state['of_row'])
