@@ -36,14 +36,14 @@ def die_with_parent() -> None:
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
-def node_command(module: str, node: str, parameters: dict[str, object],
-                 namespace: str = '') -> list[str]:
+def node_command(
+    module: str, parameters: dict[str, object], namespace: str = '',
+) -> list[str]:
     """
     Return the command line of one of our nodes.
 
     Args:
         module: importable module with a `main`, run with `python -m`.
-        node: name of the node, which the parameters are addressed to.
         parameters: values by name; str, int, float and bool.
         namespace: ROS namespace; empty for none.
     """
@@ -58,7 +58,7 @@ def node_command(module: str, node: str, parameters: dict[str, object],
             text = "'" + value.replace("'", "''") + "'"
         else:
             text = repr(value)
-        command += ['-p', f'{node}:{name}:={text}']
+        command += ['-p', f'{name}:={text}']
     return command
 
 

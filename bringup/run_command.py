@@ -181,13 +181,13 @@ def drive(
     with ProcessGroup(folder / 'log') as group:
         if not arguments.no_bag:
             group.start('recorder', node_command(
-                'bags.recorder_node', 'bag_recorder_node', {
+                'bags.recorder_node', {
                     'folder': str(folder / 'bag'),
                     'provenance': provenance_text(simulator=simulator, policy=policy),
                 }, space))
-        group.start('policy', node_command('dqn_policy_node', 'dqn_policy_node', policy, space))
+        group.start('policy', node_command('dqn_policy_node', policy, space))
         group.start('simulator', node_command(
-            'carracing_sim_node', 'carracing_sim_node', simulator, space))
+            'carracing_sim_node', simulator, space))
         try:
             with Display(monitor.state, laps_table, laps_line, console) as display:
                 while group.check() is None:

@@ -108,16 +108,15 @@ def train(
                  'tracks': hyperparameters.validation_tracks}
     with ProcessGroup(folder / 'log') as group:
         if arguments.bag:
-            group.start('recorder', node_command('bags.recorder_node', 'bag_recorder_node', {
+            group.start('recorder', node_command('bags.recorder_node', {
                 'folder': str(next_bag(folder)),
                 'provenance': provenance_text(
                     simulator=simulator, policy=policy, trainer=trainer)}, space))
-        group.start('trainer', node_command('trainer_node', TRAINER, trainer, space))
-        group.start('policy', node_command('dqn_policy_node', 'dqn_policy_node', policy, space))
+        group.start('trainer', node_command('trainer_node', trainer, space))
+        group.start('policy', node_command('dqn_policy_node', policy, space))
         # validation takes the time the others leave
-        group.start('validator', node_command(
-            'evaluation.node', 'validation_node', validator, space), nice=5)
-        group.start('simulator', node_command(SIMULATOR, SIMULATOR, simulator, space))
+        group.start('validator', node_command('evaluation.node', validator, space), nice=5)
+        group.start('simulator', node_command('carracing_sim_node', simulator, space))
         try:
             with Display(monitor.state, training_table, training_line, console) as display:
                 while group.check() is None:

@@ -1,0 +1,244 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""Simulator and policy as real processes over real DDS."""
+from carracing_sim_node import make_env
+from dqn_policy_node.action_sets import ACTION_SETS
+from dqn_policy_node.model_description import ModelDescription
+from dqn_policy_node.network import QNetwork
+from dqn_policy_node.weights_message import encode_weights
+from geometry_msgs.msg import TwistStamped
+from graph_probe import Graph, kill
+from msgs_bridge import topics
+from msgs_bridge.images import fill_image
+from msgs_bridge.stamps import set_stamp, to_nanoseconds
+import numpy as np
+import pytest
+from sensor_msgs.msg import Image
+from std_msgs.msg import UInt8MultiArray
+from std_srvs.srv import SetBool, Trigger
+from trainer_node.hyperparameters import Hyperparameters
+
+SIM = ('carracing_sim_node', 'carracing_sim_node')
+POLICY = ('dqn_policy_node', 'dqn_policy_node')
+
+
+@pytest.fixture
+def graph(tmp_path, request):
+    name = ''.join(c if c.isalnum() else '_' for c in request.node.name)
+    with Graph(tmp_path, name) as graph:
+        yield graph
+
+
+def call(graph, service_type, name, request, seconds=5):
+    client = graph.probe.create_client(service_type, name)
+    graph.spin_until(client.service_is_ready, seconds, f'{name} is there')
+    future = client.call_async(request)
+    graph.spin_until(future.done, seconds, f'{name} answers')
+    return future.result()
+
+
+def test_every_transition_of_a_lockstep_drive_arrives_once_and_is_what_the_simulator_did(graph):
+    graph.listen(topics.IMAGE, topics.STEP, topics.CMD_VEL, topics.EPISODE)
+    graph.node(*POLICY, model='random')
+    graph.node(*SIM, action_repeat=4, max_episode_frames=120, episodes=3, seed=7,
+               seed_each_episode=True, wait_for_subscribers=1)
+    graph.spin_until(lambda: len(graph.messages['episode']) == 3, 30, 'three episodes')
+    graph.spin(0.3)
+    joined, joiner = graph.join()
+    assert len(joined) == 3 * 30
+    assert {name: n for name, n in joiner.counts.items() if n} == {'joined': 90}
+    assert len({t.stamp for t in joined}) == 90
+    # the same actions in the same environment without any ROS
+    env = make_env(action_repeat=4, max_episode_steps=120)
+    for episode in range(3):
+        frame, _ = env.reset(seed=7 + episode)
+        for transition in joined[30 * episode:30 * episode + 30]:
+            assert np.array_equal(transition.frame, frame)
+            frame, reward, terminated, truncated, _ = env.step(transition.action)
+            assert np.array_equal(transition.next_frame, frame)
+            assert transition.facts['reward'] == reward
+            assert (transition.terminated, transition.truncated) == (terminated, truncated)
+        assert truncated
+
+
+def test_weights_from_a_topic_change_what_the_policy_does_and_bad_ones_do_not(graph):
+    graph.listen(topics.CMD_VEL, topics.DIAGNOSTICS, topics.Q_VALUES)
+    weights, images = graph.publisher(topics.WEIGHTS), graph.publisher(topics.IMAGE)
+    graph.node(*POLICY, model='')
+    description = Hyperparameters(convolutions='8@8/4 8@4/2', hidden=16).model_description()
+    names = ACTION_SETS['seed5'].names
+    stamp = 0
+
+    def publish(best, version, damage=False):
+        network = QNetwork(description)
+        tensors = {name: tensor * 0 for name, tensor in network.state_dict().items()}
+        last = [name for name in tensors if name.endswith('bias')][-1]
+        tensors[last][best] = 1.0
+        data = bytearray(encode_weights(tensors, description, version=version))
+        if damage:
+            data[-1] ^= 1
+        weights.publish(UInt8MultiArray(data=data))
+
+    def drive():
+        nonlocal stamp
+        stamp += 20_000_000
+        before = len(graph.messages['q_values'])
+        pixels = np.zeros((96, 96, 3), np.uint8)
+        images.publish(fill_image(Image(), pixels, stamp, 'camera'))
+        graph.spin_until(lambda: len(graph.messages['q_values']) > before, 10, 'an answer')
+        values = dict(zip(graph.messages['q_values'][-1].name,
+                          graph.messages['q_values'][-1].position))
+        return names[int(values['chosen'])], values['weights_version']
+
+    assert isinstance(description, ModelDescription)
+    graph.spin_until(lambda: weights.get_subscription_count() == 1
+                     and images.get_subscription_count() == 1, 20, 'the policy is there')
+    publish(best=1, version=1)
+    graph.spin_until(lambda: graph.health('dqn_policy_node').get('weights_version') == '1',
+                     10, 'version 1 arrives')
+    assert drive() == (names[1], 1)
+    publish(best=3, version=2)
+    graph.spin_until(lambda: graph.health('dqn_policy_node').get('weights_version') == '2',
+                     10, 'version 2 arrives')
+    assert drive() == (names[3], 2)
+    publish(best=4, version=3, damage=True)
+    graph.spin_until(lambda: graph.health('dqn_policy_node').get('rejected_weights') == '1',
+                     10, 'the damaged version is counted')
+    assert drive() == (names[3], 2)
+
+
+@pytest.mark.parametrize('change', [
+    {'encoding': 'mono16'}, {'data': b'1'}, {'height': 48, 'data': bytes(48 * 288)}])
+def test_images_that_cannot_be_used_are_counted_and_the_policy_goes_on(graph, change):
+    graph.listen(topics.CMD_VEL, topics.DIAGNOSTICS)
+    images = graph.publisher(topics.IMAGE)
+    # the model of the report at its first weights: it takes 96x96 frames
+    graph.node(*POLICY, model='')
+    weights = graph.publisher(topics.WEIGHTS)
+    description = Hyperparameters(convolutions='8@8/4', hidden=16).model_description()
+    weights.publish(UInt8MultiArray(data=encode_weights(
+        QNetwork(description).state_dict(), description, version=1)))
+    graph.spin_until(lambda: graph.health('dqn_policy_node').get('weights_version') == '1',
+                     20, 'weights arrive')
+    bad = fill_image(Image(), np.zeros((96, 96, 3), np.uint8), 10**9, 'camera')
+    for name, value in change.items():
+        setattr(bad, name, value)
+    images.publish(bad)
+    graph.spin_until(lambda: graph.health('dqn_policy_node').get('rejected_image_raw') == '1',
+                     10, 'the bad image is counted')
+    assert not graph.messages['cmd_vel']
+    images.publish(fill_image(Image(), np.zeros((96, 96, 3), np.uint8), 2 * 10**9, 'camera'))
+    graph.spin_until(lambda: graph.messages['cmd_vel'], 10, 'the good image is answered')
+
+
+def twist(stamp, forward=0.0, left=0.0):
+    message = TwistStamped()
+    set_stamp(message.header.stamp, stamp)
+    message.twist.linear.x, message.twist.angular.z = forward, left
+    return message
+
+
+def test_twists_that_cannot_be_used_do_not_move_the_car(graph):
+    graph.listen(topics.IMAGE, topics.STEP, topics.DIAGNOSTICS)
+    twists = graph.publisher(topics.CMD_VEL)
+    graph.node(*SIM, answer_timeout=60.0)
+    graph.spin_until(lambda: graph.messages['step'], 20, 'the first frame')
+    stamp = to_nanoseconds(graph.messages['step'][0].header.stamp)
+    twists.publish(twist(stamp, forward=float('nan')))
+    twists.publish(twist(stamp + 20_000_000, forward=1.0))
+    graph.spin_until(lambda: graph.health('carracing_sim_node').get('rejected_cmd_vel') == '2',
+                     10, 'a NaN and a stale twist are counted')
+    assert len(graph.messages['step']) == 1
+    twists.publish(twist(stamp, forward=3.0, left=-9.0))
+    graph.spin_until(lambda: len(graph.messages['step']) == 2, 10, 'the good twist is answered')
+    facts = dict(zip(graph.messages['step'][1].name, graph.messages['step'][1].position))
+    assert (facts['steer'], facts['gas'], facts['brake']) == (1.0, 1.0, 0.0)
+    graph.spin_until(lambda: graph.health('carracing_sim_node').get('clamped_twists') == '1',
+                     10, 'the clamped twist is counted')
+
+
+def test_the_simulator_outlives_its_policy(graph):
+    graph.listen(topics.IMAGE, topics.STEP, topics.CMD_VEL, topics.DIAGNOSTICS)
+    policy = graph.node(*POLICY, model='random')
+    simulator = graph.node(*SIM, answer_timeout=0.3)
+    graph.spin_until(lambda: len(graph.messages['step']) > 50, 30, 'driving')
+    kill(policy)
+    del graph.children['dqn_policy_node']
+    graph.spin_until(lambda: simulator.said('no twist on cmd_vel has answered'), 10, 'a warning')
+    graph.spin(0.5)
+    count = len(graph.messages['step'])
+    graph.spin(1.0)
+    assert len(graph.messages['step']) == count
+    assert simulator.code is None
+    graph.node(*POLICY, model='random')
+    graph.spin_until(lambda: len(graph.messages['step']) > count + 50, 30, 'driving on')
+    joined, joiner = graph.join()
+    # nothing of the episode was lost, because the frame was sent again
+    assert joiner.counts['unanswered'] == 0 and joiner.counts['lost_twist'] == 0
+    assert len(joined) >= count - 5
+
+
+def test_pause_step_and_reset(graph):
+    graph.listen(topics.STEP)
+    graph.node(*POLICY, model='random')
+    graph.node(*SIM, start_paused=True)
+    graph.spin_until(lambda: len(graph.messages['step']) == 1, 30, 'the first frame')
+    graph.spin(0.5)
+    assert len(graph.messages['step']) == 1
+    assert call(graph, Trigger, 'carracing_sim_node/step', Trigger.Request()).success
+    graph.spin_until(lambda: len(graph.messages['step']) == 2, 5, 'one step')
+    graph.spin(0.3)
+    assert len(graph.messages['step']) == 2
+    assert call(graph, Trigger, 'carracing_sim_node/reset', Trigger.Request()).success
+    graph.spin_until(lambda: len(graph.messages['step']) == 3, 5, 'a reset')
+    facts = dict(zip(graph.messages['step'][2].name, graph.messages['step'][2].position))
+    assert (facts['episode'], facts['decision']) == (1, 0)
+    assert call(graph, SetBool, 'carracing_sim_node/pause', SetBool.Request(data=False)).success
+    graph.spin_until(lambda: len(graph.messages['step']) > 20, 10, 'driving')
+    refused = call(graph, Trigger, 'carracing_sim_node/step', Trigger.Request())
+    assert not refused.success and 'not paused' in refused.message
+    stamps = [to_nanoseconds(message.header.stamp) for message in graph.messages['step']]
+    assert stamps == sorted(set(stamps))
+
+
+def test_real_time_runs_by_the_wall_clock_and_lets_go_of_a_stale_twist(graph):
+    graph.listen(topics.STEP, topics.DIAGNOSTICS)
+    twists = graph.publisher(topics.CMD_VEL)
+    graph.node(*SIM, stepping='real_time', stale_after=0.2)
+    graph.spin_until(lambda: graph.messages['step'], 20, 'the first frame')
+    twists.publish(twist(to_nanoseconds(graph.messages['step'][-1].header.stamp), forward=1.0))
+    graph.spin_until(
+        lambda: graph.health('carracing_sim_node').get('stale_twists') == '1', 10, 'stale')
+    gas = [dict(zip(m.name, m.position))['gas'] for m in graph.messages['step']]
+    assert max(gas) == 1.0 and gas[-1] == 0.0
+    assert 5 <= sum(g > 0 for g in gas) <= 20
+
+
+def test_plain_twists_drive_too(graph):
+    graph.listen(topics.STEP)
+    graph.node(*POLICY, model='random', cmd_vel_stamped=False)
+    graph.node(*SIM, cmd_vel_stamped=False)
+    graph.spin_until(lambda: len(graph.messages['step']) > 30, 30, 'driving')
+
+
+@pytest.mark.parametrize('parameters, words', [
+    ({'stepping': 'lokstep'}, "accepted: one of 'lockstep', 'real_time'"),
+    ({'action_repeat': 0}, 'accepted: 1 to 50'),
+    ({'action_repat': 4}, "did you mean 'action_repeat'"),
+    ({'seed': 'seven'}, 'seed must be a int'),
+])
+def test_parameters_that_are_not_accepted_end_the_node_with_one_line(graph, parameters, words):
+    child = graph.node(*SIM, **parameters)
+    assert child.process.wait(20) == 2
+    child._reader.join(2)
+    lines = [line for line in child.words if line.startswith('error: ')]
+    assert len(lines) == 1 and words in lines[0]
+    graph.children.clear()
+
+
+def test_a_missing_model_is_named(graph):
+    child = graph.node(*POLICY, model='no_such_model')
+    assert child.process.wait(20) == 2
+    child._reader.join(2)
+    assert any("'no_such_model'" in line for line in child.words)
+    graph.children.clear()
