@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from typing import Any
 
 from rich.console import Console
 
@@ -32,6 +33,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     info.add_argument('bag', help='folder or single file')
     info.add_argument('--json', action='store_true', help='print JSON instead of tables')
     _add_namespace(info)
+
+    verify = commands.add_parser(
+        'verify', help='check a bag and drive it again in the simulator, byte for byte')
+    verify.add_argument('bag', help='folder or single file')
+    verify.add_argument('--structure-only', action='store_true', help='do not drive it again')
+    verify.add_argument('--json', action='store_true', help='print JSON')
+    _add_namespace(verify)
 
 
 def main(arguments: argparse.Namespace) -> int:
@@ -67,7 +75,35 @@ def _info(arguments: argparse.Namespace) -> int:
     return 0
 
 
-COMMANDS = {'record': _record, 'play': _play, 'info': _info}
+def _verify(arguments: argparse.Namespace) -> int:
+    from bags.verify import verify_bag
+    with BagReader(arguments.bag) as reader:
+        found = verify_bag(reader, namespace=arguments.namespace,
+                           resimulate=not arguments.structure_only)
+    if arguments.json:
+        sys.stdout.write(json.dumps(found.as_dict(), indent=2) + '\n')
+    else:
+        _show_verification(found)
+    return 0 if found.good else 1
+
+
+def _show_verification(found: Any) -> None:
+    write = sys.stdout.write
+    for problem in found.problems:
+        write(f'wrong: {problem}\n')
+    for note in found.notes:
+        write(f'note: {note}\n')
+    if found.transitions:
+        counts = ', '.join(f'{count} {name}' for name, count in found.transitions.items())
+        write(f'transitions: {counts}\n')
+    driven = found.resimulation
+    if driven is not None:
+        write(f'driven again: {driven.episodes} episodes, {driven.frames} frames, '
+              f'{driven.differing_frames} differ\n')
+    write(f'{found.messages} messages: {"good" if found.good else "NOT good"}\n')
+
+
+COMMANDS = {'record': _record, 'play': _play, 'info': _info, 'verify': _verify}
 
 
 def _add_settings(

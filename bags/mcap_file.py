@@ -47,6 +47,7 @@ class Span:
 
     Attributes:
         offset, length: where the messages, packed or not, lie in the file.
+        record: where the record of the chunk begins.
         start_time, end_time: first and last log time in ns.
         compression, unpacked_size, crc: of a chunk; for plain messages empty, length and 0.
     """
@@ -58,6 +59,7 @@ class Span:
     compression: str
     unpacked_size: int
     crc: int
+    record: int
 
 
 class McapFile:
@@ -69,6 +71,9 @@ class McapFile:
         schemas, channels: by number.
         spans: where messages lie, in order of the file.
         metadata: name -> values of the metadata records; of two of one name the last.
+        library: what wrote it.
+        data_end: where the data section ends, and its CRC as the file says it; 0 if it does not.
+        summary: where the summary begins and the footer ends, as the file is laid out.
         complete: whether the file ends as it should.
         problem: why it is not complete, in words.
     """
@@ -90,6 +95,9 @@ class McapFile:
         self.spans: list[Span] = []
         self.metadata: dict[str, dict[str, str]] = {}
         self.counts: dict[int, int] = {}
+        self.library = ''
+        self.data_end = (0, 0)
+        self.summary = (0, 0)
         self.complete = False
         self.problem = ''
         self._map: mmap.mmap | None = None
@@ -125,6 +133,10 @@ class McapFile:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    def raw(self, start: int, stop: int) -> memoryview:
+        """Return bytes of the file as they are."""
+        return self._view[start:stop]
 
     def span_bytes(self, span: Span, *, check: bool = True) -> memoryview:
         """
@@ -272,8 +284,13 @@ class McapFile:
             elif opcode == Opcode.STATISTICS:
                 self.counts = dict(self._parse(
                     opcode, view[start:start + length]).channel_message_counts)
+            elif opcode == Opcode.DATA_END:
+                self.data_end = (
+                    position, self._parse(opcode, view[start:start + length]).data_section_crc)
+                self.summary = (start + length, 0)
             position = start + length
             if opcode == Opcode.FOOTER:
+                self.summary = (self.summary[0], position)
                 self.complete = view[position:position + len(MAGIC)] == MAGIC
                 if not self.complete:
                     self.problem = 'it has no end mark'
@@ -286,7 +303,8 @@ class McapFile:
     def _check_header(self, opcode: int, content: memoryview) -> None:
         if opcode != Opcode.HEADER:
             raise BagError(f'{self.path} does not begin with a header')
-        profile = self._parse(opcode, content).profile
+        header = self._parse(opcode, content)
+        profile, self.library = header.profile, header.library
         if profile != PROFILE:
             raise BagError(f'{self.path} has profile {profile!r}; accepted: {PROFILE!r}')
 
@@ -308,7 +326,8 @@ class McapFile:
             raise BagError(f'{self.path} at byte {start}: chunk says it unpacks to {size} bytes; '
                            f'accepted: {MAX_CHUNK}')
         compression = bytes(view[position:position + name_size]).decode('ascii', 'replace')
-        self.spans.append(Span(data, packed, first, last, compression, size, crc))
+        self.spans.append(Span(
+            data, packed, first, last, compression, size, crc, start - HEAD.size))
 
     def _extend_plain(
         self, plain: list[int] | None, position: int, start: int, length: int,
@@ -326,7 +345,7 @@ class McapFile:
 
     def _add_plain(self, plain: list[int]) -> None:
         start, end, first, last = plain
-        self.spans.append(Span(start, end - start, first, last, '', end - start, 0))
+        self.spans.append(Span(start, end - start, first, last, '', end - start, 0, start))
 
     def _learn(self, opcode: int, content: memoryview) -> None:
         known = self.schemas if opcode == Opcode.SCHEMA else self.channels

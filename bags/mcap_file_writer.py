@@ -64,6 +64,8 @@ class McapFileWriter:
         self._counts: dict[int, int] = {}
         self._chunk_indexes: list[ChunkIndex] = []
         self._metadata_indexes: list[MetadataIndex] = []
+        # of everything before the record DataEnd, so that a flipped byte anywhere is found
+        self._crc = 0
         try:
             self._file = path.open('xb', buffering=0)
         except FileExistsError:
@@ -159,7 +161,7 @@ class McapFileWriter:
             OSError: the disk is full or gone.
         """
         self.flush()
-        self._put(record_bytes(DataEnd(0)) + self._summary())
+        self._put(record_bytes(DataEnd(self._crc)) + self._summary())
 
     def close(self) -> None:
         """Close the file as it is."""
@@ -248,3 +250,4 @@ class McapFileWriter:
             self._file.seek(self.size)
             raise
         self.size += len(data)
+        self._crc = zlib.crc32(data, self._crc)

@@ -1,0 +1,306 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Drives recorded actions through the simulator again and compares every frame.
+
+What a recording says of an episode - its seed, the variant, the action and the number of
+simulator frames of every decision - is in its `step` bundles; the environment then must give the
+same frames, rewards and flags to the last bit.
+"""
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+import dataclasses
+import json
+from typing import Any
+
+import numpy as np
+
+from bags.contract import find_topic, need_topic
+from bags.decode import BundleDecoder, decode
+from bags.reader import BagReader
+from msgs_bridge.errors import MessageError
+from msgs_bridge.images import image_to_array
+from msgs_bridge.stamps import NANOSECONDS, to_nanoseconds
+from msgs_bridge.topics import EPISODE, IMAGE, STEP
+
+NEEDED = ('reward', 'terminated', 'truncated', 'lap_finished', 'episode', 'decision', 'step',
+          'episode_return', 'steer', 'gas', 'brake', 'frames')
+# of carracing_sim_node, when the bag's provenance does not say
+DEFAULT_SEED = 42
+DEFAULT_MAX_FRAMES = 1000
+MAX_NAMED = 10
+
+
+@dataclasses.dataclass
+class Resimulation:
+    """
+    What came of driving a recording again.
+
+    Attributes:
+        episodes, frames: driven again.
+        differing_frames: frames in which image, reward, a flag or a fact differed.
+        differing_images, differing_rewards, differing_flags, differing_facts: which it was.
+        skipped: reason -> episodes that could not be driven again.
+        missing_images: frames whose image is not in the bag; their other values are compared.
+        partings: the first frame of each episode that differed, in words.
+    """
+
+    episodes: int = 0
+    frames: int = 0
+    differing_frames: int = 0
+    differing_images: int = 0
+    differing_rewards: int = 0
+    differing_flags: int = 0
+    differing_facts: int = 0
+    missing_images: int = 0
+    skipped: Counter[str] = dataclasses.field(default_factory=Counter)
+    partings: list[str] = dataclasses.field(default_factory=list)
+
+
+@dataclasses.dataclass(frozen=True)
+class RecordedFrame:
+    """
+    One published frame of a bag.
+
+    Attributes:
+        number: of the `step` message in its topic, from 0.
+        stamp: simulation time in ns.
+        facts: `step_fields.STEP_FIELDS` by name.
+        pixels: uint8 (H, W, 3), or None if its image is not in the bag.
+    """
+
+    number: int
+    stamp: int
+    facts: dict[str, float]
+    pixels: np.ndarray | None
+
+
+def recorded_frames(reader: BagReader, *, namespace: str = '') -> Iterator[RecordedFrame]:
+    """
+    Yield the published frames of a bag, `step` and image of one stamp together.
+
+    Raises:
+        BagError: a damaged bag, or one without images or steps.
+        MessageError: a message that cannot be used.
+    """
+    steps = need_topic(reader, STEP, namespace=namespace)
+    images = _Images(reader, need_topic(reader, IMAGE, namespace=namespace))
+    decoder = BundleDecoder()
+    newest = -1
+    number = -1
+    for message in reader.messages([steps]):
+        number += 1
+        bundle = decoder.decode(message.data, steps)
+        facts = bundle.values_with(NEEDED)
+        if bundle.stamp == newest:
+            continue
+        if bundle.stamp < newest:
+            raise MessageError(f'{steps}: message {number} goes back in time')
+        newest = bundle.stamp
+        yield RecordedFrame(number, bundle.stamp, facts, images.at(bundle.stamp))
+
+
+class _Images:
+    """The images of a bag, asked for in order of time."""
+
+    def __init__(self, reader: BagReader, name: str) -> None:
+        self._messages = reader.messages([name])
+        self._type_name = reader.topics[name].type_name
+        self._name = name
+        self._next: tuple[int, np.ndarray] | None = None
+
+    def at(self, stamp: int) -> np.ndarray | None:
+        """Return the image of a stamp, passing over older ones."""
+        while self._next is None or self._next[0] < stamp:
+            message = next(self._messages, None)
+            if message is None:
+                return None
+            image = decode(message.data, self._type_name, self._name)
+            self._next = (to_nanoseconds(image.header.stamp), image_to_array(image))
+        return self._next[1] if self._next[0] == stamp else None
+
+
+class Resimulator:
+    """Drives the frames of one bag again; `result` says what came of it."""
+
+    def __init__(self, reader: BagReader, *, namespace: str = '') -> None:
+        """
+        Read the seeds of a bag.
+
+        Raises:
+            BagError: a damaged bag.
+        """
+        self.result = Resimulation()
+        self._reader = reader
+        self._namespace = namespace
+        self._simulator = _simulator_settings(reader)
+        self._seeds = _episode_seeds(reader, namespace)
+        self._variant: tuple[bool, bool, int] | None = None
+        self._env: Any = None
+        self._stream_at: int | None = None
+        self._driving: int | None = None
+        self._return = 0.0
+        self._parted = False
+        self._not_driven: set[int] = set()
+
+    def run(self) -> Resimulation:
+        """
+        Drive everything again.
+
+        Raises:
+            BagError: a damaged bag, or one without images or steps.
+            MessageError: a message that cannot be used.
+        """
+        for frame in recorded_frames(self._reader, namespace=self._namespace):
+            number = int(frame.facts['episode'])
+            if frame.facts['decision'] == 0:
+                self._begin(frame, number)
+            elif number == self._driving:
+                self._advance(frame)
+            elif number not in self._not_driven:
+                self._skip(number, 'begun before the recording')
+        return self.result
+
+    def _skip(self, number: int, reason: str) -> None:
+        self._not_driven.add(number)
+        self.result.skipped[reason] += 1
+        self._driving = None
+
+    def _begin(self, frame: RecordedFrame, number: int) -> None:
+        facts = frame.facts
+        self._prepare(facts)
+        seed = int(facts.get('seed', self._seeds.get(number, -1)))
+        if seed >= 0:
+            pixels, _ = self._env.reset(seed=seed)
+            self._stream_at = number
+        else:
+            pixels = self._reset_in_stream(number)
+        self._driving = number
+        self._return = 0.0
+        self._parted = False
+        self.result.episodes += 1
+        self._compare(frame, pixels, 0.0, False, False, False)
+
+    def _prepare(self, facts: dict[str, float]) -> None:
+        """Make the environment of the variant that a frame names."""
+        variant = (facts.get('zoom', 1) > 0, facts.get('domain_randomize', 0) > 0,
+                   int(facts.get('early_end_frames', 0)))
+        if variant == self._variant:
+            return
+        # the simulator is needed for nothing else in this package
+        from carracing_sim_node import make_env
+        zoom, domain_randomize, early_end_frames = self._variant = variant
+        self._env = make_env(
+            zoom=zoom, domain_randomize=domain_randomize, early_end_frames=early_end_frames,
+            max_episode_steps=int(
+                self._simulator.get('max_episode_frames', DEFAULT_MAX_FRAMES)))
+        self._stream_at = None
+
+    def _reset_in_stream(self, number: int) -> np.ndarray:
+        """Reset to track `number` of the stream of tracks that the first seed began."""
+        if self._stream_at is not None and self._stream_at < number:
+            self._env.skip_episodes(number - self._stream_at - 1)
+        elif number:
+            self._env.skip_episodes(
+                number, seed=int(self._simulator.get('seed', DEFAULT_SEED)))
+        self._stream_at = number
+        pixels, _ = self._env.reset()
+        return pixels
+
+    def _advance(self, frame: RecordedFrame) -> None:
+        facts = frame.facts
+        action = (facts['steer'], facts['gas'], facts['brake'])
+        frames = int(facts['frames'])
+        reward, terminated, truncated, info = 0.0, False, False, {}
+        pixels = None
+        for count in range(frames):
+            if terminated or truncated:
+                self._part(frame, f'the recording goes on where the simulator ends (after '
+                                  f'{count} of {frames} frames)')
+                self._driving = None
+                self._not_driven.add(int(facts['episode']))
+                self.result.differing_frames += 1
+                return
+            pixels, earned, terminated, truncated, info = self._env.step(
+                action, draw=count == frames - 1)
+            reward = earned if count == 0 else reward + earned
+        self._return += reward
+        left_field = terminated and not info.get('lap_finished', False)
+        self._compare(frame, pixels, reward, terminated, truncated, left_field)
+        if (terminated or truncated) and frame.facts['terminated'] == frame.facts[
+                'truncated'] == 0:
+            # whatever follows has nothing to be compared with
+            self._driving = None
+            self._not_driven.add(int(facts['episode']))
+
+    def _compare(
+        self, frame: RecordedFrame, pixels: np.ndarray | None, reward: float, terminated: bool,
+        truncated: bool, left_field: bool,
+    ) -> None:
+        result, facts, known = self.result, frame.facts, self._env.facts()
+        result.frames += 1
+        differences = []
+        if frame.pixels is None:
+            result.missing_images += 1
+        elif pixels is None or not np.array_equal(frame.pixels, pixels):
+            result.differing_images += 1
+            differences.append('image')
+        if facts['reward'] != reward:
+            result.differing_rewards += 1
+            differences.append(f'reward {facts["reward"]!r} instead of {reward!r}')
+        flags = {
+            'terminated': terminated, 'truncated': truncated, 'left_field': left_field,
+            'lap_finished': known.lap_finished and not left_field,
+            'ended_early': known.ended_early}
+        wrong = [name for name, value in flags.items() if name in facts and facts[name] != value]
+        result.differing_flags += bool(wrong)
+        differences += wrong
+        expected = {
+            'step': known.frames, 'episode_return': self._return,
+            'tiles_visited': known.tiles_visited, 'tiles_total': known.tiles_total,
+            'tiles_missed': known.tiles_missed, 'wheels_off_road': known.wheels_off_road,
+            'speed': known.speed, 'standing_still': known.standing_still}
+        wrong = [name for name, value in expected.items()
+                 if name in facts and facts[name] != value]
+        result.differing_facts += bool(wrong)
+        differences += wrong
+        if differences:
+            result.differing_frames += 1
+            self._part(frame, ', '.join(differences))
+
+    def _part(self, frame: RecordedFrame, what: str) -> None:
+        """Say where recording and simulation part, once an episode."""
+        if self._parted:
+            return
+        self._parted = True
+        if len(self.result.partings) < MAX_NAMED:
+            facts = frame.facts
+            self.result.partings.append(
+                f'episode {int(facts["episode"])}, decision {int(facts["decision"])}, step '
+                f'message {frame.number}, simulation time {frame.stamp / NANOSECONDS:.2f} s: '
+                f'{what}')
+
+
+def _episode_seeds(reader: BagReader, namespace: str) -> dict[int, int]:
+    """Return episode -> seed as the summaries at the ends say, for bags whose steps do not."""
+    name = find_topic(reader, EPISODE, namespace=namespace)
+    if name is None:
+        return {}
+    decoder = BundleDecoder()
+    seeds = {}
+    for message in reader.messages([name]):
+        values = decoder.decode(message.data, name).values_with(('episode',))
+        if 'seed' in values:
+            seeds[int(values['episode'])] = int(values['seed'])
+    return seeds
+
+
+def _simulator_settings(reader: BagReader) -> dict[str, Any]:
+    """Return the simulator's settings from the provenance, empty if it has none."""
+    try:
+        settings = json.loads(reader.custom_data.get('simulator', '{}'))
+    except ValueError:
+        return {}
+    return settings if isinstance(settings, dict) else {}

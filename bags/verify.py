@@ -1,0 +1,83 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""Find out whether a bag is whole, and whether it is what happened."""
+from __future__ import annotations
+
+from collections import Counter
+import dataclasses
+from typing import Any
+
+from bags.contract import find_topic
+from bags.reader import BagReader
+from bags.resimulate import Resimulation, Resimulator
+from bags.structure import order_notes, structure_problems
+from bags.transitions import bag_transitions
+from msgs_bridge.topics import IMAGE, STEP
+
+# what the joiner counts that means something is missing
+LOSSES = ('duplicate', 'lost_image', 'lost_twist', 'lost_step', 'rewound', 'rejected')
+
+
+@dataclasses.dataclass
+class Verification:
+    """
+    What a check of a bag found.
+
+    Attributes:
+        messages: in the bag.
+        problems: what is wrong, each a sentence; the bag is good if there are none.
+        notes: what is unusual but not wrong.
+        transitions: the joiner's counts; empty if the bag has no images and steps.
+        resimulation: what came of driving it again; None if it was not.
+    """
+
+    messages: int
+    problems: list[str]
+    notes: list[str]
+    transitions: dict[str, int]
+    resimulation: Resimulation | None
+
+    @property
+    def good(self) -> bool:
+        """Return whether nothing is wrong."""
+        return not self.problems
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it as JSON can hold it."""
+        return {'good': self.good, **dataclasses.asdict(self)}
+
+
+def verify_bag(
+    reader: BagReader, *, namespace: str = '', resimulate: bool = True,
+) -> Verification:
+    """
+    Check a bag: its files, the transitions in it, and a second drive of its actions.
+
+    Raises:
+        BagError: a bag that cannot be read at all.
+    """
+    problems = structure_problems(reader)
+    notes = order_notes(reader)
+    driven: Resimulation | None = None
+    counts: Counter[str] = Counter()
+    # what is damaged cannot be driven again
+    if not problems:
+        if (find_topic(reader, IMAGE, namespace=namespace)
+                and find_topic(reader, STEP, namespace=namespace)):
+            for _ in bag_transitions([reader.path], namespace=namespace, counts=counts):
+                pass
+            notes += [f'{counts[name]} x {name.replace("_", " ")} when joining transitions'
+                      for name in LOSSES if counts[name]]
+            if resimulate:
+                driven = Resimulator(reader, namespace=namespace).run()
+                problems += driven.partings
+                hidden = driven.differing_frames - len(driven.partings)
+                if hidden > 0:
+                    problems.append(f'{hidden} more frames differ')
+                notes += [f'{count} episodes not driven again: {reason}'
+                          for reason, count in driven.skipped.items()]
+        else:
+            notes.append('no images and steps of the car: nothing to drive again')
+    return Verification(
+        reader.message_count, problems, notes, {key: count for key, count in counts.items()
+                                                if count}, driven)
