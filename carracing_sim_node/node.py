@@ -37,6 +37,8 @@ from std_msgs.msg import Float32
 from std_srvs.srv import SetBool, Trigger
 
 SIMULATED_FRAMES_PER_SECOND = 50
+# how long after we have seen all connections the other nodes may still be making theirs
+SETTLE_SECONDS = 0.4
 # what the subscribers have at the end to take the last messages
 LAST_WORDS = Duration(seconds=1)
 
@@ -74,22 +76,37 @@ class CarRacingSimNode(NodeShell):
         self._asked_at = 0.0
         self._decisions = self._simulated = 0
         self._rate_from = (time.monotonic(), 0, 0)
+        self._ready_since: float | None = None
         self._waiting = self.create_timer(0.05, self._start_when_ready)
         self._timer = None
         self.get_logger().info(
             f'CarRacing-v3, {settings.stepping}, {self.drive.env.renderer_name} renderer')
 
-    def _start_when_ready(self) -> None:
-        """Publish the first frame once those who must see it are there."""
+    def _everybody_is_there(self) -> bool:
+        """Return whether the driver and those who must see everything are connected."""
         wanted = self.settings.wait_for_subscribers
-        ready = self._step_publisher.get_subscription_count() >= wanted
-        if self.settings.stepping == 'lockstep':
-            ready &= self._image_publisher.get_subscription_count() > 0
-            ready &= self.count_publishers(topics.CMD_VEL.name) > 0
-        if not ready:
+        driver = self.settings.stepping == 'lockstep'
+        return (
+            self._image_publisher.get_subscription_count() >= wanted + driver
+            and self._step_publisher.get_subscription_count() >= wanted
+            # beside our own; the driver's connections to them are as old as ours within SETTLE
+            and self.count_subscribers(topics.CMD_VEL.name) >= wanted + 1
+            and (not driver or self.count_publishers(topics.CMD_VEL.name) > 0)
+        )
+
+    def _start_when_ready(self) -> None:
+        """Publish the first frame once those who must see it have been there for a moment."""
+        now = time.monotonic()
+        if not self._everybody_is_there():
+            self._ready_since = None
             self.get_logger().info(
-                'waiting for a driver: a subscription of image_raw, a publisher of cmd_vel and '
-                f'{wanted} subscriptions of step', throttle_duration_sec=10.0)
+                'waiting for a driver (a subscription of image_raw, a publisher of cmd_vel) and '
+                f'{self.settings.wait_for_subscribers} more subscriptions of image_raw, step '
+                'and cmd_vel', throttle_duration_sec=10.0)
+            return
+        if self._ready_since is None:
+            self._ready_since = now
+        if now - self._ready_since < SETTLE_SECONDS:
             return
         self._waiting.cancel()
         self._begin_episode()

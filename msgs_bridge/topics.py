@@ -36,12 +36,15 @@ class Topic:
 
 # Deep enough that a trainer busy with one update or one checkpoint of some seconds loses nothing.
 STALL_DEPTH = 2000
+# A reliable writer keeps this much for readers that a busy machine holds up for a moment; with
+# 10, a recorder was seen to lose frames at 500 a second. 500 images are 14 MB.
+BURST_DEPTH = 500
 
-IMAGE = Topic('image_raw', 'sensor_msgs/msg/Image', 'carracing_sim_node', 10,
+IMAGE = Topic('image_raw', 'sensor_msgs/msg/Image', 'carracing_sim_node', BURST_DEPTH,
               'rgb8 96x96 observation; stamp = simulation time, never rewound')
 STEP = Topic('step', 'sensor_msgs/msg/JointState', 'carracing_sim_node', STALL_DEPTH,
              'names and values of `step_fields.STEP_FIELDS`; same stamp as its image')
-REWARD = Topic('reward', 'std_msgs/msg/Float32', 'carracing_sim_node', 10,
+REWARD = Topic('reward', 'std_msgs/msg/Float32', 'carracing_sim_node', BURST_DEPTH,
                "the environment's own reward, for a quick look; never a join key")
 EPISODE = Topic('episode', 'sensor_msgs/msg/JointState', 'carracing_sim_node', 10,
                 'summary of the episode that just ended, `step_fields.EPISODE_FIELDS`',
@@ -49,7 +52,7 @@ EPISODE = Topic('episode', 'sensor_msgs/msg/JointState', 'carracing_sim_node', 1
 CMD_VEL = Topic('cmd_vel', 'geometry_msgs/msg/TwistStamped', 'dqn_policy_node', STALL_DEPTH,
                 'linear.x gas > 0, brake < 0; angular.z left > 0; all in [-1, 1]; '
                 'stamp of the image it answers')
-Q_VALUES = Topic('q_values', 'sensor_msgs/msg/JointState', 'dqn_policy_node', 100,
+Q_VALUES = Topic('q_values', 'sensor_msgs/msg/JointState', 'dqn_policy_node', BURST_DEPTH,
                  'Q-value of each action by name, then `chosen`, `explored`, `weights_version`; '
                  'stamp of the image')
 WEIGHTS = Topic('weights', 'std_msgs/msg/UInt8MultiArray', 'trainer_node', 1,
@@ -58,7 +61,7 @@ WEIGHTS = Topic('weights', 'std_msgs/msg/UInt8MultiArray', 'trainer_node', 1,
 VALIDATION = Topic('validation', 'sensor_msgs/msg/JointState', 'validation_node', 10,
                    'greedy laps of one weights version, `step_fields.VALIDATION_FIELDS`',
                    latched=True)
-CLOCK = Topic('/clock', 'rosgraph_msgs/msg/Clock', 'carracing_sim_node', 10,
+CLOCK = Topic('/clock', 'rosgraph_msgs/msg/Clock', 'carracing_sim_node', BURST_DEPTH,
               'simulation time')
 DIAGNOSTICS = Topic('/diagnostics', 'diagnostic_msgs/msg/DiagnosticArray', 'every node', 10,
                     '1 Hz health: rates, drops, rejects')

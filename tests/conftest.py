@@ -1,8 +1,21 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
 """Every test session has a ROS domain of its own on this host, and one thread per library."""
+import itertools
 import os
+
+import pytest
 
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
 os.environ.setdefault('ROS_DOMAIN_ID', str(1 + os.getpid() % 100))
 os.environ['OMP_NUM_THREADS'] = '1'
+
+_numbers = itertools.count()
+
+
+@pytest.fixture
+def graph(tmp_path):
+    """Nodes in a namespace that no other test has."""
+    from graph_probe import Graph
+    with Graph(tmp_path, f'graph{next(_numbers)}') as graph:
+        yield graph

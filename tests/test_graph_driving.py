@@ -7,7 +7,7 @@ from dqn_policy_node.model_description import ModelDescription
 from dqn_policy_node.network import QNetwork
 from dqn_policy_node.weights_message import encode_weights
 from geometry_msgs.msg import TwistStamped
-from graph_probe import Graph, kill
+from graph_probe import kill
 from msgs_bridge import topics
 from msgs_bridge.images import fill_image
 from msgs_bridge.stamps import set_stamp, to_nanoseconds
@@ -20,13 +20,6 @@ from trainer_node.hyperparameters import Hyperparameters
 
 SIM = ('carracing_sim_node', 'carracing_sim_node')
 POLICY = ('dqn_policy_node', 'dqn_policy_node')
-
-
-@pytest.fixture
-def graph(tmp_path, request):
-    name = ''.join(c if c.isalnum() else '_' for c in request.node.name)
-    with Graph(tmp_path, name) as graph:
-        yield graph
 
 
 def call(graph, service_type, name, request, seconds=5):
