@@ -15,6 +15,7 @@ from dqn_policy_node.model_description import ModelDescription
 from dqn_policy_node.safetensors_image import pack, read_metadata, tensors_sha256, unpack
 
 FORMAT = 'carracing_dqn weights 1'
+METADATA_KEY = 'carracing_dqn'
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,28 +53,36 @@ def encode_weights(
     extra: dict[str, Any] | None = None,
 ) -> bytes:
     """Return the bytes to publish; `WeightsUpdate` describes the values."""
-    values = {'version': version, 'epsilon': epsilon, 'gas_weight': gas_weight,
-              'validate': validate, 'extra': extra or {}}
-    return pack(tensors, {
+    record = {
         'format': FORMAT,
-        'values': json.dumps(values),
-        'description': description.to_text(),
+        'version': version, 'epsilon': epsilon, 'gas_weight': gas_weight, 'validate': validate,
+        'extra': extra or {},
+        'description': description.to_json(),
         'description_sha256': description.sha256(),
         'sha256': tensors_sha256(tensors),
-    })
+    }
+    # one entry, because safetensors writes several in no fixed order
+    return pack(tensors, {METADATA_KEY: json.dumps(record)})
+
+
+def _read_record(data: bytes) -> tuple[dict[str, Any], ModelDescription]:
+    """Return the values of a weights image and the description in it; raises ModelError."""
+    metadata = read_metadata(data)
+    try:
+        record = json.loads(metadata.get(METADATA_KEY, '{}'))
+    except (ValueError, TypeError, RecursionError):
+        record = None
+    if not isinstance(record, dict) or record.get('format') != FORMAT:
+        raise ModelError(f'weights image is not a {FORMAT!r}')
+    description = ModelDescription.from_json(record.get('description'))
+    if record.get('description_sha256') != description.sha256():
+        raise ModelError('weights image is damaged: its description does not match its hash')
+    return record, description
 
 
 def read_description(data: bytes) -> ModelDescription:
     """Return the description inside a weights image; raises ModelError."""
-    metadata = read_metadata(data)
-    if metadata.get('format') != FORMAT:
-        raise ModelError(f'weights format {metadata.get("format")!r}; expected {FORMAT!r}')
-    try:
-        return ModelDescription.from_json(json.loads(metadata['description']))
-    except (KeyError, ValueError, TypeError, RecursionError) as error:
-        if isinstance(error, ModelError):
-            raise
-        raise ModelError(f'weights image without a readable description: {error}') from None
+    return _read_record(data)[1]
 
 
 def decode_weights(data: bytes, description: ModelDescription | None = None) -> WeightsUpdate:
@@ -87,18 +96,16 @@ def decode_weights(data: bytes, description: ModelDescription | None = None) -> 
     Raises:
         ModelError: the image is damaged, for another model, or its values are not accepted.
     """
-    own = read_description(data)
+    record, own = _read_record(data)
     if description is not None and own != description:
         raise ModelError(f'weights are for another model: {own.differences(description)[0]}')
-    metadata = read_metadata(data)
     tensors = unpack(data, own)
-    if tensors_sha256(tensors) != metadata.get('sha256'):
+    if tensors_sha256(tensors) != record.get('sha256'):
         raise ModelError('weights image is damaged: its hash does not match its weights')
     try:
-        values = json.loads(metadata['values'])
-        version, validate, extra = values['version'], values['validate'], values['extra']
-        epsilon, gas_weight = float(values['epsilon']), float(values['gas_weight'])
-    except (KeyError, ValueError, TypeError, RecursionError) as error:
+        version, validate, extra = record['version'], record['validate'], record['extra']
+        epsilon, gas_weight = float(record['epsilon']), float(record['gas_weight'])
+    except (KeyError, ValueError, TypeError, OverflowError) as error:
         raise ModelError(f'weights image without readable values: {error}') from None
     if type(version) is not int or not 0 <= version < 2**53:
         raise ModelError(f'weights version {version!r}; accepted: whole numbers from 0')

@@ -194,10 +194,11 @@ class Learner:
         self._optimizer.state.clear()
         for name, parameter in self.online.named_parameters():
             if f'adam.step.{name}' in tensors:
+                # the fused kernel reads memory as it lies: the layout must be the weights' own
                 self._optimizer.state[parameter] = {
-                    key: tensors[f'adam.{key}.{name}'].to(self.device).clone(
-                        memory_format=torch.preserve_format)
-                    for key in ('step', 'exp_avg', 'exp_avg_sq')}
+                    'step': tensors[f'adam.step.{name}'].to(self.device).clone(),
+                    **{key: torch.empty_like(parameter, requires_grad=False).copy_(
+                        tensors[f'adam.{key}.{name}']) for key in ('exp_avg', 'exp_avg_sq')}}
         self.updates = updates
 
     def _networks(self) -> dict[str, QNetwork]:

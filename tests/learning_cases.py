@@ -1,0 +1,54 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""A tiny agent and streams of transitions for the tests of learning."""
+from dqn_policy_node.action_sets import ACTION_SETS
+from msgs_bridge.transitions import Transition
+import numpy as np
+from trainer_node.hyperparameters import Hyperparameters
+
+TINY = {
+    'convolutions': '4@4/4', 'hidden': 8, 'shrink': 8, 'frame_stack': 2, 'action_repeat': 4,
+    'replay_capacity': 200, 'learning_starts': 20, 'batch_size': 8, 'weights_every': 10,
+    'validation_every_episodes': 3, 'run_episodes': 0,
+}
+ACTIONS = ACTION_SETS['seed5'].actions
+
+
+def tiny(**changes):
+    return Hyperparameters(**{**TINY, **changes})
+
+
+def make_facts(**changes):
+    return {
+        'reward': 0.0, 'terminated': 0.0, 'truncated': 0.0, 'lap_finished': 0.0,
+        'left_field': 0.0, 'ended_early': 0.0, 'episode': 0.0, 'decision': 0.0, 'step': 0.0,
+        'episode_return': 0.0, 'tiles_visited': 0.0, 'tiles_total': 300.0, 'tiles_missed': 0.0,
+        'wheels_off_road': 0.0, 'speed': 0.0, 'standing_still': 0.0, 'frames': 4.0, **changes}
+
+
+def stream(count, *, seed=0, episode_length=13, terminated_share=0.5):
+    """Yield `count` transitions of random frames in episodes that end both ways."""
+    random = np.random.default_rng(seed)
+    stamp, episode, decision, total = 0, 0, 0, 0.0
+    frame = random.integers(0, 256, (96, 96, 3), np.uint8)
+    previous = make_facts()
+    for _ in range(count):
+        next_frame = random.integers(0, 256, (96, 96, 3), np.uint8)
+        decision += 1
+        reward = float(random.normal())
+        total += reward
+        ended = decision == episode_length
+        terminated = float(ended and random.random() < terminated_share)
+        facts = make_facts(
+            reward=reward, terminated=terminated, truncated=float(ended) - terminated,
+            lap_finished=terminated, episode=episode, decision=decision, step=4 * decision,
+            episode_return=total, tiles_visited=float(decision), speed=20.0)
+        action = ACTIONS[random.integers(len(ACTIONS))]
+        next_stamp = stamp + 80_000_000
+        yield Transition(stamp, next_stamp, frame, next_frame, action, facts, previous)
+        stamp, frame, previous = next_stamp, next_frame, facts
+        if ended:
+            stamp += 1_000_000_000
+            episode, decision, total = episode + 1, 0, 0.0
+            frame = random.integers(0, 256, (96, 96, 3), np.uint8)
+            previous = make_facts(episode=episode)

@@ -1,0 +1,169 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""The update, with targets worked out by hand, and that it learns."""
+import dataclasses
+
+from learning_cases import tiny
+import numpy as np
+import pytest
+import torch
+from trainer_node.errors import LearningError
+from trainer_node.learner import choose_device, Learner
+from trainer_node.replay_buffer import Batch
+
+
+def make_learner(**changes):
+    torch.manual_seed(0)
+    return Learner(tiny(**changes), 'cpu')
+
+
+def make_batch(size=6, seed=0, **changes):
+    random = np.random.default_rng(seed)
+    batch = Batch(
+        random.integers(0, 256, (size, 2, 12, 12), np.uint8), random.integers(0, 5, size),
+        random.normal(size=size).astype(np.float32),
+        random.integers(0, 256, (size, 2, 12, 12), np.uint8),
+        np.where(random.random(size) < 0.5, 0, 0.9).astype(np.float32))
+    return batch._replace(**changes)
+
+
+def differ(network):
+    """Make a target network that disagrees with the online one."""
+    with torch.no_grad():
+        for parameter in network.parameters():
+            parameter.add_(torch.randn_like(parameter) * 0.3)
+
+
+@pytest.mark.parametrize('double', [False, True])
+@pytest.mark.parametrize('loss', ['l1', 'huber'])
+def test_loss_and_targets_by_hand(double, loss):
+    learner = make_learner(double=double, loss=loss)
+    differ(learner.target)
+    batch = make_batch()
+    with torch.no_grad():
+        online = learner.online(torch.from_numpy(batch.pictures)).numpy()
+        next_online = learner.online(torch.from_numpy(batch.next_pictures)).numpy()
+        next_target = learner.target(torch.from_numpy(batch.next_pictures)).numpy()
+    expected_loss, expected_error, expected_q = [], [], []
+    for index in range(6):
+        chosen = (next_online if double else next_target)[index].argmax()
+        target = batch.rewards[index] + batch.discounts[index] * next_target[index, chosen]
+        q_value = online[index, batch.actions[index]]
+        error = abs(q_value - target)
+        expected_loss.append(error if loss == 'l1' else
+                             0.5 * error ** 2 if error < 1 else error - 0.5)
+        expected_error.append(error)
+        expected_q.append(q_value)
+    result = learner.update(batch, 1e-3)
+    assert result.loss == pytest.approx(np.mean(expected_loss), rel=1e-5)
+    assert result.td_error == pytest.approx(np.mean(expected_error), rel=1e-5)
+    assert result.q_mean == pytest.approx(np.mean(expected_q), rel=1e-4, abs=1e-6)
+    assert learner.updates == 1
+
+
+def test_dueling_adds_value_and_centred_advantage():
+    learner = make_learner(dueling=True)
+    network = learner.online
+    pictures = torch.from_numpy(make_batch().pictures)
+    with torch.no_grad():
+        hidden = torch.relu(network.hidden(torch.relu(
+            network.convolutions[0](pictures / 255)).flatten(1)))
+        value, advantage = network.value(hidden[:, :4]), network.advantage(hidden[:, 4:])
+        expected = value + advantage - advantage.mean(1, keepdim=True)
+        assert torch.allclose(network(pictures), expected, atol=1e-5)
+
+
+def test_the_gradient_is_clipped():
+    learner, free = make_learner(gradient_clip=0.001), make_learner(gradient_clip=1e6)
+    batch = make_batch(rewards=np.full(6, 50, np.float32))
+    assert learner.update(batch, 1e-3).gradient_norm == pytest.approx(
+        free.update(batch, 1e-3).gradient_norm)
+    clipped = torch.cat([p.grad.flatten() for p in learner.online.parameters()])
+    assert clipped.norm().item() == pytest.approx(0.001, rel=1e-3)
+
+
+def test_the_target_network_waits():
+    learner = make_learner(target_update='updates', target_every=3)
+    first = learner.target.hidden.weight.clone()
+    for update in range(1, 4):
+        learner.update(make_batch(seed=update), 1e-2)
+        same = torch.equal(learner.target.hidden.weight, first)
+        assert same is (update < 3)
+    assert torch.equal(learner.target.hidden.weight, learner.online.hidden.weight)
+
+
+def test_the_average_lags_behind_and_acts():
+    learner = make_learner(weight_average=0.5)
+    expected = learner.online.hidden.weight.detach().clone()
+    for update in range(1, 21):
+        learner.update(make_batch(seed=update), 1e-2)
+        decay = min(0.5, (1 + update) / (10 + update))
+        expected += (1 - decay) * (learner.online.hidden.weight.detach() - expected)
+    assert torch.allclose(learner.acting_tensors()['hidden.weight'], expected, atol=1e-6)
+    assert not torch.allclose(expected, learner.online.hidden.weight)
+
+
+def test_acting_tensors_are_copies():
+    learner = make_learner()
+    tensors = learner.acting_tensors()
+    before = tensors['hidden.weight'].clone()
+    learner.update(make_batch(), 1e-2)
+    assert torch.equal(tensors['hidden.weight'], before)
+
+
+@pytest.mark.parametrize('bf16', [False, True])
+def test_it_learns_which_action_pays(bf16):
+    learner = make_learner(bf16=bf16, loss='huber', dropout=0.0)
+    random = np.random.default_rng(0)
+    for _ in range(400):
+        dark = random.random(32) < 0.5
+        pictures = np.where(dark, 30, 220).astype(np.uint8)[:, None, None, None]
+        pictures = np.broadcast_to(pictures, (32, 2, 12, 12)).copy()
+        actions = random.integers(0, 5, 32)
+        rewards = np.where(actions == np.where(dark, 1, 3), 1, -1).astype(np.float32)
+        learner.update(
+            Batch(pictures, actions, rewards, pictures, np.zeros(32, np.float32)), 5e-3)
+    with torch.no_grad():
+        for level, best in ((30, 1), (220, 3)):
+            q_values = learner.online(torch.full((1, 2, 12, 12), level, dtype=torch.uint8))[0]
+            assert q_values.argmax() == best
+            assert q_values[best].item() == pytest.approx(1, abs=0.25)
+
+
+def test_a_loss_that_is_not_finite_stops_with_the_reason_and_the_weights_as_they_were():
+    learner = make_learner()
+    before = learner.acting_tensors()
+    batch = make_batch()
+    batch.rewards[2] = np.nan
+    with pytest.raises(LearningError, match='update 1: the loss is nan.*a reward in the batch'):
+        learner.update(batch, 1e-3)
+    assert all(torch.equal(t, before[name]) for name, t in learner.acting_tensors().items())
+    assert learner.updates == 0
+    with torch.no_grad():
+        learner.target.hidden.bias[0] = float('inf')
+    with pytest.raises(LearningError, match="target weights 'hidden.bias' are not finite"):
+        learner.update(make_batch(discounts=np.ones(6, np.float32)), 1e-3)
+
+
+def test_the_layout_is_the_fast_one_and_survives_a_restore():
+    learner, other = make_learner(dropout=0.3), make_learner(dropout=0.3)
+    settings = dataclasses.replace(learner.settings, convolutions='4@4/2 8@3/1', dropout=0.3)
+    learner, other = Learner(settings, 'cpu'), Learner(settings, 'cpu')
+    weight = learner.online.convolutions[1].weight
+    assert weight.is_contiguous(memory_format=torch.channels_last)
+    for update in range(3):
+        learner.update(make_batch(seed=update), 1e-2)
+    other.load_state(
+        {name: tensor.contiguous() for name, tensor in learner.state_tensors().items()}, 3)
+    other.random_state = learner.random_state
+    for update in range(3, 6):
+        assert learner.update(make_batch(seed=update), 1e-2) == other.update(
+            make_batch(seed=update), 1e-2)
+    for name, tensor in learner.state_tensors().items():
+        assert torch.equal(tensor, other.state_tensors()[name])
+
+
+def test_a_device_that_is_not_there_is_one_line():
+    assert choose_device('auto').type in ('cpu', 'cuda')
+    with pytest.raises(LearningError, match="device 'abacus'"):
+        choose_device('abacus')

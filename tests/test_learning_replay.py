@@ -1,0 +1,149 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""The replay buffer, against a plain list of episodes."""
+from hypothesis import given, settings, strategies
+import numpy as np
+import pytest
+from trainer_node.replay_buffer import ReplayBuffer
+
+GAMMA = 0.5
+
+
+def picture(level):
+    # two bytes, so that every picture of a test can be told apart
+    return np.array([[level % 256, level // 256]], np.uint8)
+
+
+def level(pixels):
+    return int(pixels[..., 0, 0]) + 256 * int(pixels[..., 0, 1])
+
+
+def fill(buffer, stretches):
+    """Fill with stretches (length, how it ends); return what each picture led to."""
+    truth, number = {}, 0
+    for length, end in stretches:
+        first = number
+        buffer.start(picture(number))
+        for step in range(length):
+            reward = float(number + 1)
+            terminated = end == 'terminated' and step == length - 1
+            buffer.add(number % 5, reward, picture(number + 1), terminated=terminated)
+            truth[number] = (first, first + length, reward, terminated)
+            number += 1
+        number += 1
+    return truth
+
+
+def expected(truth, start, n_steps):
+    """Return rewards, discount and the picture after up to n steps, by walking."""
+    _, last, _, _ = truth[start]
+    total, discount, place = 0.0, 1.0, start
+    for _ in range(n_steps):
+        if place == last:
+            break
+        _, _, reward, terminated = truth[place]
+        total += discount * reward
+        discount *= GAMMA
+        place += 1
+        if terminated:
+            return total, 0.0, place
+    return total, discount, place
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    stretches=strategies.lists(strategies.tuples(
+        strategies.integers(1, 9), strategies.sampled_from(['terminated', 'truncated', 'broken'])),
+        min_size=1, max_size=12),
+    capacity=strategies.integers(8, 60), frame_stack=strategies.integers(1, 4),
+    n_steps=strategies.integers(1, 4))
+def test_no_sample_crosses_a_boundary(stretches, capacity, frame_stack, n_steps):
+    buffer = ReplayBuffer(
+        capacity, (1, 2), frame_stack=frame_stack, n_steps=n_steps, gamma=GAMMA)
+    truth = fill(buffer, stretches)
+    held = len(buffer)
+    assert held == min(sum(length + 1 for length, _ in stretches), capacity)
+    try:
+        batch = buffer.sample(64, np.random.default_rng(0))
+    except ValueError:
+        # so small that no whole stack with an action is left
+        assert capacity <= frame_stack + 9
+        return
+    for index in range(64):
+        stack = [level(pixels) for pixels in batch.pictures[index]]
+        number = stack[-1]
+        first = truth[number][0]
+        assert stack == [max(number - back, first) for back in range(frame_stack - 1, -1, -1)]
+        assert batch.actions[index] == number % 5
+        rewards, discount, after = expected(truth, number, n_steps)
+        assert batch.rewards[index] == pytest.approx(rewards)
+        assert batch.discounts[index] == pytest.approx(discount)
+        next_stack = [level(pixels) for pixels in batch.next_pictures[index]]
+        assert next_stack == [max(after - back, first) for back in range(frame_stack - 1, -1, -1)]
+
+
+def test_every_held_transition_is_drawn_about_as_often():
+    buffer = ReplayBuffer(50, (1, 2), frame_stack=2)
+    truth = fill(buffer, [(7, 'terminated')] * 20)
+    random = np.random.default_rng(1)
+    counts = {}
+    for _ in range(100):
+        for pixels in buffer.sample(64, random).pictures[:, -1]:
+            counts[level(pixels)] = counts.get(level(pixels), 0) + 1
+    newest = max(truth) + 1
+    held = [number for number in truth if number > newest - 50 + 1]
+    assert sorted(counts) == held
+    assert max(counts.values()) < 1.6 * min(counts.values())
+
+
+def test_each_picture_is_stored_once():
+    buffer = ReplayBuffer(100, (1, 2), frame_stack=4)
+    fill(buffer, [(9, 'truncated')] * 5)
+    assert len(buffer) == 50
+    assert buffer.transitions == 45
+
+
+def test_an_empty_buffer_says_so():
+    buffer = ReplayBuffer(10, (1, 2))
+    with pytest.raises(ValueError, match='holds no transition'):
+        buffer.sample(1, np.random.default_rng(0))
+    for _ in range(5):
+        buffer.start(picture(0))
+    with pytest.raises(ValueError, match='holds no transition'):
+        buffer.sample(1, np.random.default_rng(0))
+
+
+def test_a_lone_transition_among_broken_stretches_is_found():
+    buffer = ReplayBuffer(5000, (1, 2))
+    for _ in range(4000):
+        buffer.start(picture(3))
+    buffer.add(2, 1.0, picture(4), terminated=False)
+    buffer.start(picture(3))
+    assert set(buffer.sample(8, np.random.default_rng(0)).actions) == {2}
+
+
+def test_flips_mirror_pictures_and_actions_together():
+    buffer = ReplayBuffer(100, (1, 2), mirrored=(0, 2, 1))
+    buffer.start(np.array([[10, 20]], np.uint8))
+    buffer.add(1, 1.0, np.array([[30, 40]], np.uint8), terminated=False)
+    batch = buffer.sample(200, np.random.default_rng(0))
+    flipped = batch.actions == 2
+    assert 60 < flipped.sum() < 140
+    for index in range(200):
+        expected_pair = ([[20, 10]], [[40, 30]]) if flipped[index] else ([[10, 20]], [[30, 40]])
+        assert batch.pictures[index, 0].tolist() == expected_pair[0]
+        assert batch.next_pictures[index, 0].tolist() == expected_pair[1]
+
+
+def test_a_restored_buffer_samples_the_same():
+    buffer, other = (ReplayBuffer(30, (1, 2), frame_stack=3, n_steps=2) for _ in range(2))
+    fill(buffer, [(7, 'terminated'), (5, 'broken'), (9, 'truncated'), (9, 'broken')])
+    arrays = {name: array.copy() for name, array in buffer.state_arrays().items()}
+    other.load_state(arrays, buffer.written)
+    for own in (buffer, other):
+        own.add(1, 5.0, picture(999), terminated=False)
+    first = buffer.sample(40, np.random.default_rng(0))
+    second = other.sample(40, np.random.default_rng(0))
+    assert all(np.array_equal(a, b) for a, b in zip(first, second))
+    with pytest.raises(ValueError, match='replay pictures are'):
+        ReplayBuffer(30, (2, 2)).load_state(arrays, buffer.written)
