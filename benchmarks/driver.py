@@ -15,7 +15,7 @@ STYLES = ('lap', 'fast', 'random', 'spin', 'away', 'still')
 """Kinds of driving, see `Driver`."""
 
 _AHEAD = 5
-_BEND_AHEAD = 12
+_BENDS_AHEAD = (6, 12, 18)
 
 
 class Driver:
@@ -41,7 +41,7 @@ class Driver:
     def act(self) -> np.ndarray:
         """Return the next action, float32 (3,)."""
         if self._style in ('lap', 'fast'):
-            return self._follow(110.0, 0.5) if self._style == 'lap' else self._follow(200.0, 1.0)
+            return self._follow(120.0, 0.8) if self._style == 'lap' else self._follow(160.0, 1.0)
         if self._style == 'spin':
             return np.array([1.0, 1.0, 0.0], np.float32)
         if self._style == 'away':
@@ -73,12 +73,17 @@ class Driver:
         target = self._path[(self._nearest + _AHEAD) % count] - position
         # The car's nose points along its y axis.
         error = _wrap(atan2(target[1], target[0]) - (hull.angle + pi / 2))
-        heading_now = sim.track[self._nearest][1]
-        heading_then = sim.track[(self._nearest + _BEND_AHEAD) % count][1]
-        bend = abs(_wrap(heading_then - heading_now))
+        heading = sim.track[self._nearest][1]
+        bend = max(
+            abs(_wrap(sim.track[(self._nearest + ahead) % count][1] - heading))
+            for ahead in _BENDS_AHEAD
+        )
         wanted = top_speed / (1.0 + bend)
-        steer = float(np.clip(-2.0 * error, -1.0, 1.0))
-        gas = pedal if sim.speed < wanted else 0.0
+        # The turning that is under way counts against the steering, which would swing otherwise
+        # when an action is held for several frames.
+        steer = float(np.clip(-error + 0.2 * hull.angularVelocity, -1.0, 1.0))
+        # Gas while steering spins this car.
+        gas = pedal * (1.0 - abs(steer)) if sim.speed < wanted else 0.0
         brake = 0.2 if sim.speed > wanted + 8.0 else 0.0
         return np.array([steer, gas, brake], np.float32)
 

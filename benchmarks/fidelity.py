@@ -109,15 +109,15 @@ def _compare_episode(
     name: str,
     found: Fidelity,
 ) -> None:
-    """Compare up to `limit` frames of one episode, counting into `found`."""
+    """Compare the first `limit` simulated frames of one episode, counting into `found`."""
     expected = stock.reset(seed=seed)
     got = ours.reset(seed=seed)
     _compare_frame(expected[0], got[0], f'{name}, first frame', found)
     _check(expected[1] == got[1], f'{name}, info of reset', found)
     driver = Driver(ours, style, seed)
     off_road = 0
-    compared = 1
-    while compared < limit:
+    # The frame that `reset` draws is one of them.
+    while ours.facts().frames < limit - 1:
         action = driver.act()
         total = 0.0
         for held in range(ours.action_repeat):
@@ -138,7 +138,6 @@ def _compare_episode(
             found,
         )
         _compare_frame(frame, got_frame, where, found)
-        compared += 1
         off_road = off_road + held + 1 if facts.wheels_off_road == _OFF_ROAD else 0
         turning = abs(ours.simulation.car.hull.angularVelocity)
         found.variety['zooming in'] += facts.frames < 50

@@ -149,6 +149,9 @@ class CarRacingEnvironment(gymnasium.Env):
         """
         self._running = False
         self._sim.reset(seed=seed, options=options)
+        # Where gymnasium's wrappers and its checker look for them.
+        self._np_random = self._sim.np_random
+        self._np_random_seed = self._sim.np_random_seed
         self._running = True
         self._ended = False
         self._ended_early = False

@@ -63,12 +63,15 @@ class TrackGeometry:
         self.colours[0] = self.background
         self.colours[1 : len(_GROUND)] = pack_rgb(sim.grass_color)
         self._road_colour = pack_rgb(sim.road_color)
+        channels = np.array([colour for _, colour in sim.road_poly]).astype(np.uint32)
+        road_colours = channels[:, 0] << 16 | channels[:, 1] << 8 | channels[:, 2]
+        self.colours[len(_GROUND) :] = road_colours
         # A tile's polygon holds the tile's own colour array; a border's holds a tuple.
-        self._quad_of_tile = []
-        for quad, (_, colour) in enumerate(sim.road_poly, len(_GROUND)):
-            self.colours[quad] = pack_rgb(colour)
-            if not isinstance(colour, tuple):
-                self._quad_of_tile.append(quad)
+        self._quad_of_tile = [
+            quad
+            for quad, (_, colour) in enumerate(sim.road_poly, len(_GROUND))
+            if not isinstance(colour, tuple)
+        ]
 
     def fade_tile(self, index: int) -> None:
         """Give tile `index` the plain road colour."""
