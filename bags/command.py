@@ -41,6 +41,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     verify.add_argument('--json', action='store_true', help='print JSON')
     _add_namespace(verify)
 
+    recover = commands.add_parser('recover', help='make a bag that was cut off whole')
+    recover.add_argument('bag', help='folder or single file; it is not touched')
+    recover.add_argument('output', help='new folder')
+
+    export = commands.add_parser('export', help='a lap as a video and as a table')
+    export.add_argument('bag', help='folder or single file')
+    export.add_argument('--video', metavar='FILE', help='new .mp4 file')
+    export.add_argument('--csv', metavar='FILE', help='new .csv file, a row per step')
+    export.add_argument('--episode', type=int, help='only this episode (default: all)')
+    export.add_argument('--scale', type=int, default=4, help='size of the picture (default: 4)')
+    export.add_argument('--speed', type=float, default=1.0,
+                        help='2 = twice as fast as the car drove')
+    _add_namespace(export)
+
 
 def main(arguments: argparse.Namespace) -> int:
     """Run a subcommand; errors are one line on stderr and exit code 2, findings 1."""
@@ -103,7 +117,37 @@ def _show_verification(found: Any) -> None:
     write(f'{found.messages} messages: {"good" if found.good else "NOT good"}\n')
 
 
-COMMANDS = {'record': _record, 'play': _play, 'info': _info, 'verify': _verify}
+def _recover(arguments: argparse.Namespace) -> int:
+    from bags.recover import recover_bag
+    recovery = recover_bag(arguments.bag, arguments.output)
+    for remark in recovery.remarks:
+        sys.stdout.write(f'{remark}\n')
+    sys.stdout.write(
+        f'{recovery.messages} messages in {recovery.chunks} chunks saved to {arguments.output}; '
+        f'{recovery.bad_chunks} chunks and {recovery.lost_bytes} bytes lost\n')
+    return 0
+
+
+def _export(arguments: argparse.Namespace) -> int:
+    from bags.export import export_csv, export_video
+    if not arguments.video and not arguments.csv:
+        raise BagError('nothing to export; give --video FILE, --csv FILE or both')
+    with BagReader(arguments.bag) as reader:
+        choice = {'namespace': arguments.namespace, 'episode': arguments.episode}
+        if arguments.csv:
+            rows = export_csv(reader, arguments.csv, **choice)
+            sys.stdout.write(f'{rows} steps in {arguments.csv}\n')
+        if arguments.video:
+            frames = export_video(reader, arguments.video, scale=arguments.scale,
+                                  speed=arguments.speed, **choice)
+            sys.stdout.write(f'{frames} frames in {arguments.video}\n')
+    return 0
+
+
+COMMANDS = {
+    'record': _record, 'play': _play, 'info': _info, 'verify': _verify, 'recover': _recover,
+    'export': _export,
+}
 
 
 def _add_settings(

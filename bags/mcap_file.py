@@ -76,6 +76,7 @@ class McapFile:
         summary: where the summary begins and the footer ends, as the file is laid out.
         complete: whether the file ends as it should.
         problem: why it is not complete, in words.
+        whole_until: where the last whole record ends.
     """
 
     def __init__(self, path: Path | str, *, strict: bool = True) -> None:
@@ -100,6 +101,7 @@ class McapFile:
         self.summary = (0, 0)
         self.complete = False
         self.problem = ''
+        self.whole_until = 0
         self._map: mmap.mmap | None = None
         try:
             with self.path.open('rb') as file:
@@ -288,7 +290,7 @@ class McapFile:
                 self.data_end = (
                     position, self._parse(opcode, view[start:start + length]).data_section_crc)
                 self.summary = (start + length, 0)
-            position = start + length
+            self.whole_until = position = start + length
             if opcode == Opcode.FOOTER:
                 self.summary = (self.summary[0], position)
                 self.complete = view[position:position + len(MAGIC)] == MAGIC

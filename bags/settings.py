@@ -62,7 +62,7 @@ class PlayerSettings:
         0.0, 'messages a second on /clock with the time of the bag; 0 = none',
         low=0, high=1000)
     wait_for_subscribers: float = setting(
-        0.0, 'seconds to wait at most until every topic played has a subscriber',
+        0.5, 'seconds to wait at most until every topic played has a subscriber',
         low=0, high=3600)
 
 

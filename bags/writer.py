@@ -165,6 +165,15 @@ class BagWriter:
                 and self._clock() - self._chunk_opened >= self._chunk_seconds):
             self._guard(self._file.flush)
 
+    def next_file(self) -> None:
+        """
+        Complete the present file and begin the next one.
+
+        Raises:
+            OSError: the disk is full or gone; `lost` says what it cost.
+        """
+        self._guard(self._next_file)
+
     @property
     def size(self) -> int:
         """Return the bytes of the present file, the open chunk included."""

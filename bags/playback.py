@@ -1,0 +1,162 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""The clock of a playback: when which message is due, with pause, step, rate and `/clock`."""
+from __future__ import annotations
+
+from array import array
+from collections.abc import Callable, Iterable
+import threading
+import time
+
+import numpy as np
+
+from bags.reader import BagMessage
+
+NANOSECONDS = 1e9
+# A sleep wakes some 60 us late; a wait that can be interrupted some 100 us later still.
+LAST_SLEEP = 0.002
+
+
+class Playback:
+    """
+    Calls `publish` for every message when it is due.
+
+    Attributes:
+        played: messages published.
+        late: seconds from due to published, one a message that was paced.
+        now: time of the bag in ns.
+    """
+
+    def __init__(
+        self,
+        publish: Callable[[BagMessage], None],
+        *,
+        rate: float = 1.0,
+        paused: bool = False,
+        publish_clock: Callable[[int], None] | None = None,
+        clock_rate: float = 0.0,
+    ) -> None:
+        """
+        Prepare; nothing is played yet.
+
+        Args:
+            publish: takes a message that is due.
+            rate: speed; 0 = as fast as `publish` takes them.
+            paused: whether to wait for `pause(False)` or `step()`.
+            publish_clock: takes the time of the bag in ns.
+            clock_rate: how often a second of wall time.
+        """
+        self.played = 0
+        self.late = array('d')
+        self.now = 0
+        self._publish = publish
+        self._publish_clock = publish_clock if clock_rate > 0 else None
+        self._clock_seconds = 1 / clock_rate if clock_rate > 0 else 3600.0
+        self._rate = rate
+        self._paused = paused
+        self._steps = 0
+        self._stopped = False
+        self._change = threading.Condition()
+        # wall time and time of the bag that belong together; set when playing begins or goes on
+        self._anchor: tuple[float, int] | None = None
+        self._next_tick = 0.0
+
+    def play(self, messages: Iterable[BagMessage]) -> None:
+        """Play messages in their order until they end or `stop` is called."""
+        self._anchor = None
+        for message in messages:
+            due = self._wait_until(message.log_time)
+            if self._stopped:
+                return
+            self.now = message.log_time
+            if due is not None:
+                self.late.append(time.monotonic() - due)
+            self._publish(message)
+            self.played += 1
+
+    def pause(self, paused: bool) -> None:
+        """Pause or go on."""
+        with self._change:
+            self._paused = paused
+            self._anchor = None
+            self._change.notify_all()
+
+    def step(self) -> bool:
+        """Let one message through while paused; return whether it was paused."""
+        with self._change:
+            if not self._paused:
+                return False
+            self._steps += 1
+            self._change.notify_all()
+            return True
+
+    def set_rate(self, rate: float) -> None:
+        """Go on at another speed."""
+        with self._change:
+            if rate != self._rate:
+                self._rate = rate
+                self._anchor = None
+                self._change.notify_all()
+
+    def stop(self) -> None:
+        """End `play` before the next message."""
+        with self._change:
+            self._stopped = True
+            self._change.notify_all()
+
+    def timing_error(self, newest: int | None = None) -> tuple[float, float, float]:
+        """Return p50, p99 and maximum of how late (the newest) messages were, in seconds."""
+        # a copy: an array cannot grow while numpy looks at it
+        late = np.array(self.late[-newest:] if newest else self.late[:])
+        if not late.size:
+            return 0.0, 0.0, 0.0
+        return (float(np.percentile(late, 50)), float(np.percentile(late, 99)),
+                float(late.max()))
+
+    def _wait_until(self, log_time: int) -> float | None:
+        """Wait until a message is due; return the wall time it was due at, None if unpaced."""
+        while True:
+            with self._change:
+                if self._stopped:
+                    return None
+                if self._paused:
+                    if self._steps:
+                        self._steps -= 1
+                        return None
+                    self._change.wait(self._clock_seconds)
+                    self._tick(self.now)
+                    continue
+                if self._rate == 0:
+                    self._tick(log_time)
+                    return None
+                if self._anchor is None:
+                    # what was due when the pace changed is due now
+                    self._anchor = (time.monotonic(), self.now or log_time)
+                wall, bag = self._anchor
+                due = wall + (log_time - bag) / NANOSECONDS / self._rate
+                rest = due - time.monotonic()
+                if rest > LAST_SLEEP:
+                    self._change.wait(min(rest - LAST_SLEEP / 2, self._clock_seconds))
+                    self._tick(self._time_at(time.monotonic()))
+                    continue
+            if rest > 0:
+                time.sleep(rest)
+            self._tick(log_time)
+            return due
+
+    def _time_at(self, wall: float) -> int:
+        """Return the time of the bag at a wall time."""
+        if self._anchor is None:
+            return self.now
+        return self._anchor[1] + round((wall - self._anchor[0]) * self._rate * NANOSECONDS)
+
+    def _tick(self, bag_time: int) -> None:
+        """Publish the time of the bag if it is due again; paused, it stands but is published."""
+        if self._publish_clock is None or bag_time == 0:
+            return
+        wall = time.monotonic()
+        if wall >= self._next_tick:
+            # a tick that was missed is not made up for
+            self._next_tick = max(self._next_tick + self._clock_seconds,
+                                  wall + self._clock_seconds / 2)
+            self._publish_clock(bag_time)
