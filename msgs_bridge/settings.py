@@ -35,7 +35,12 @@ class Description:
             return 'one of ' + ', '.join(repr(choice) for choice in self.choices)
         if self.low is None:
             return ''
-        return f'{self.low:g} to {self.high:g}'
+        return f'{_plain(self.low)} to {_plain(self.high)}'
+
+
+def _plain(number: float) -> str:
+    """Return a number as people write it: whole numbers with all their digits."""
+    return str(int(number)) if float(number).is_integer() else f'{number:g}'
 
 
 def setting(

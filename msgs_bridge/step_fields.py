@@ -29,7 +29,6 @@ STEP_FIELDS = {
     'zoom': '1 with the first-second zoom of the environment, 0 in the variant without',
     'domain_randomize': '1 in the variant with random colours',
     'early_end_frames': 'frames without a new tile that end an episode; 0 = never',
-    'seed': 'seed of the track of this episode; -1 when it came from the stream of the first seed',
 }
 
 EPISODE_FIELDS = {
