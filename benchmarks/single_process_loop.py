@@ -151,7 +151,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument('--run', type=Path, required=True, help='run folder')
     parser.add_argument('--minutes', type=float, default=60.0, help='wall-clock limit')
     parser.add_argument('--resume', action='store_true', help='go on from the checkpoint')
-    parser.add_argument('--set', nargs='*', default=[], metavar='NAME=VALUE',
+    parser.add_argument('--set', nargs='*', action='extend', default=[], metavar='NAME=VALUE',
                         help='hyperparameters that differ from the preset')
     args = parser.parse_args(argv)
     overrides = {}
