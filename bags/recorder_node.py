@@ -76,6 +76,9 @@ class BagRecorderNode(NodeShell):
 
     Parameters: `bags.settings.RecorderSettings`.
 
+    Attributes:
+        failed: whether the disk failed, so that messages are missing from the bag.
+
     Behaviour when things go wrong: an existing folder, a bad parameter or a failing disk ends the
     node with one line and code 2. Messages that DDS lost on the way (gaps in a single publisher's
     sequence numbers) are counted and logged. SIGINT and SIGTERM complete the bag.
@@ -110,6 +113,7 @@ class BagRecorderNode(NodeShell):
         self._excluded = {self.resolve_topic_name(name) for name in names_of(settings.exclude)}
         self._stop = threading.Event()
         self._closed = False
+        self.failed = False
         self._subscribe_to_contract()
         self._thread = threading.Thread(target=self._poll_forever, name='bag_poll', daemon=True)
         self._thread.start()
@@ -145,11 +149,17 @@ class BagRecorderNode(NodeShell):
             if self._poll(final=True):
                 quiet = time.monotonic() + QUIET_SECONDS
             time.sleep(0.005)
+        told = self._recording.error is not None
         try:
             self._recording.close()
         except BagError as error:
-            sys.stderr.write(f'error: {error}\n')
+            self.failed = True
+            if not told:
+                sys.stderr.write(f'error: {error}\n')
             return
+        missing = (self._wanted or set()) - self._sources.keys()
+        if missing:
+            sys.stderr.write(f'never seen: {", ".join(sorted(missing))}\n')
         lost = {key.removeprefix('lost_'): count for key, count in self.counts.items()
                 if key.startswith('lost_')}
         loss = ', '.join(f'{count} of {topic}' for topic, count in lost.items()) or 'none'
@@ -312,8 +322,15 @@ def _unused(message: object) -> None:
 
 
 def main(args: list[str] | None = None) -> int:
-    """Run the recorder."""
-    return run_node(BagRecorderNode, args)
+    """Run the recorder; the exit code is 2 if the bag could not be completed."""
+    nodes = []
+
+    def make_node() -> BagRecorderNode:
+        nodes.append(BagRecorderNode())
+        return nodes[0]
+
+    code = run_node(make_node, args)
+    return 2 if any(node.failed for node in nodes) else code
 
 
 if __name__ == '__main__':

@@ -10,23 +10,19 @@ same frames, rewards and flags to the last bit.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
 import dataclasses
 import json
 from typing import Any
 
 import numpy as np
 
-from bags.contract import find_topic, need_topic
-from bags.decode import BundleDecoder, decode
+from bags.contract import find_topic
+from bags.decode import BundleDecoder
+from bags.frames import recorded_frames, RecordedFrame
 from bags.reader import BagReader
-from msgs_bridge.errors import MessageError
-from msgs_bridge.images import image_to_array
-from msgs_bridge.stamps import NANOSECONDS, to_nanoseconds
-from msgs_bridge.topics import EPISODE, IMAGE, STEP
+from msgs_bridge.stamps import NANOSECONDS
+from msgs_bridge.topics import EPISODE
 
-NEEDED = ('reward', 'terminated', 'truncated', 'lap_finished', 'episode', 'decision', 'step',
-          'episode_return', 'steer', 'gas', 'brake', 'frames')
 # of carracing_sim_node, when the bag's provenance does not say
 DEFAULT_SEED = 42
 DEFAULT_MAX_FRAMES = 1000
@@ -57,69 +53,6 @@ class Resimulation:
     missing_images: int = 0
     skipped: Counter[str] = dataclasses.field(default_factory=Counter)
     partings: list[str] = dataclasses.field(default_factory=list)
-
-
-@dataclasses.dataclass(frozen=True)
-class RecordedFrame:
-    """
-    One published frame of a bag.
-
-    Attributes:
-        number: of the `step` message in its topic, from 0.
-        stamp: simulation time in ns.
-        facts: `step_fields.STEP_FIELDS` by name.
-        pixels: uint8 (H, W, 3), or None if its image is not in the bag.
-    """
-
-    number: int
-    stamp: int
-    facts: dict[str, float]
-    pixels: np.ndarray | None
-
-
-def recorded_frames(reader: BagReader, *, namespace: str = '') -> Iterator[RecordedFrame]:
-    """
-    Yield the published frames of a bag, `step` and image of one stamp together.
-
-    Raises:
-        BagError: a damaged bag, or one without images or steps.
-        MessageError: a message that cannot be used.
-    """
-    steps = need_topic(reader, STEP, namespace=namespace)
-    images = _Images(reader, need_topic(reader, IMAGE, namespace=namespace))
-    decoder = BundleDecoder()
-    newest = -1
-    number = -1
-    for message in reader.messages([steps]):
-        number += 1
-        bundle = decoder.decode(message.data, steps)
-        facts = bundle.values_with(NEEDED)
-        if bundle.stamp == newest:
-            continue
-        if bundle.stamp < newest:
-            raise MessageError(f'{steps}: message {number} goes back in time')
-        newest = bundle.stamp
-        yield RecordedFrame(number, bundle.stamp, facts, images.at(bundle.stamp))
-
-
-class _Images:
-    """The images of a bag, asked for in order of time."""
-
-    def __init__(self, reader: BagReader, name: str) -> None:
-        self._messages = reader.messages([name])
-        self._type_name = reader.topics[name].type_name
-        self._name = name
-        self._next: tuple[int, np.ndarray] | None = None
-
-    def at(self, stamp: int) -> np.ndarray | None:
-        """Return the image of a stamp, passing over older ones."""
-        while self._next is None or self._next[0] < stamp:
-            message = next(self._messages, None)
-            if message is None:
-                return None
-            image = decode(message.data, self._type_name, self._name)
-            self._next = (to_nanoseconds(image.header.stamp), image_to_array(image))
-        return self._next[1] if self._next[0] == stamp else None
 
 
 class Resimulator:

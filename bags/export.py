@@ -1,0 +1,146 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""A lap as a video and as a table."""
+from __future__ import annotations
+
+from collections.abc import Iterator
+import csv
+from fractions import Fraction
+import io
+import itertools
+from pathlib import Path
+
+from bags.errors import BagError
+from bags.frames import recorded_frames, RecordedFrame
+from bags.painter import FramePainter
+from bags.reader import BagReader
+from msgs_bridge.atomic_write import atomic_file
+from msgs_bridge.stamps import NANOSECONDS
+from msgs_bridge.step_fields import STEP_FIELDS
+
+# simulator frames a second of simulation time
+FRAME_RATE = 50
+# simulator frames that the last picture of an episode stays
+PAUSE = 25
+CODEC = 'libx264'
+MAX_SCALE = 20
+
+
+def export_csv(
+    reader: BagReader, path: Path | str, *, namespace: str = '', episode: int | None = None,
+) -> int:
+    """
+    Write a row per published frame: stamp, the `step` values, and Q-values as `q_NAME`.
+
+    Args:
+        reader: the bag.
+        path: new file.
+        namespace: where the topics of the car are; needed if there are several.
+        episode: only this one; None = all.
+
+    Returns:
+        The number of rows.
+
+    Raises:
+        BagError: the file exists, the bag is damaged, or lacks the episode.
+    """
+    _refuse_existing(path)
+    frames = _chosen(reader, namespace, episode)
+    # the first decision tells the names of the actions
+    ahead = list(itertools.islice(frames, 2))
+    names = list(dict.fromkeys([*STEP_FIELDS, *(key for frame in ahead for key in frame.facts)]))
+    actions = list(dict.fromkeys(key for frame in ahead for key in frame.q_values))
+    rows = 0
+    with atomic_file(path) as file:
+        text = io.TextIOWrapper(file, encoding='utf-8', newline='', write_through=True)
+        table = csv.writer(text, lineterminator='\n')
+        table.writerow(['stamp', *names, *(f'q_{name}' for name in actions)])
+        for frame in itertools.chain(ahead, frames):
+            table.writerow([
+                f'{frame.stamp / NANOSECONDS:.9f}',
+                *(_number(frame.facts.get(name)) for name in names),
+                *(_number(frame.q_values.get(name)) for name in actions)])
+            rows += 1
+        text.detach()
+    return rows
+
+
+def export_video(
+    reader: BagReader, path: Path | str, *, namespace: str = '', episode: int | None = None,
+    scale: int = 4, speed: float = 1.0,
+) -> int:
+    """
+    Write an H.264 video with reward, speed, controls and Q-values beside the frame.
+
+    Args:
+        reader: the bag.
+        path: new `.mp4` file.
+        namespace: where the topics of the car are; needed if there are several.
+        episode: only this one; None = all.
+        scale: size of a pixel of the frame in pixels of the video.
+        speed: 2 = twice as fast as the car drove.
+
+    Returns:
+        The number of pictures.
+
+    Raises:
+        BagError: the file exists, the bag is damaged, or lacks the episode.
+    """
+    # the encoder is needed for nothing else in this package
+    import av
+
+    _refuse_existing(path)
+    if not 1 <= scale <= MAX_SCALE:
+        raise BagError(f'scale is {scale}; accepted: 1 to {MAX_SCALE}')
+    if not 0.01 <= speed <= 100:
+        raise BagError(f'speed is {speed:g}; accepted: 0.01 to 100')
+    base = 1 / (FRAME_RATE * Fraction(speed).limit_denominator(1000))
+    painter: FramePainter | None = None
+    pictures = time = 0
+    q_values: dict[str, float] = {}
+    with atomic_file(path) as file, av.open(file, 'w', format='mp4') as container:
+        stream = container.add_stream(CODEC, rate=1 / base, options={'crf': '18'})
+        stream.pix_fmt = 'yuv420p'
+        stream.codec_context.time_base = base
+        for frame in _chosen(reader, namespace, episode):
+            if painter is None:
+                side = 96 if frame.pixels is None else frame.pixels.shape[0]
+                painter = FramePainter(side, scale)
+                stream.width, stream.height = painter.width, painter.height
+            # the last frame of an episode leads to no decision
+            q_values = frame.q_values or q_values
+            picture = av.VideoFrame.from_ndarray(painter.paint(frame, q_values), format='rgb24')
+            if pictures:
+                time += int(frame.facts['frames']) or PAUSE
+            picture.pts, picture.time_base = time, base
+            container.mux(stream.encode(picture))
+            pictures += 1
+        container.mux(stream.encode(None))
+    return pictures
+
+
+def _chosen(
+    reader: BagReader, namespace: str, episode: int | None,
+) -> Iterator[RecordedFrame]:
+    """Yield the frames of one episode or of all, at least one."""
+    frames = (frame for frame in recorded_frames(reader, namespace=namespace)
+              if episode is None or frame.facts['episode'] == episode)
+    first = next(frames, None)
+    if first is None:
+        what = 'frames' if episode is None else f'episode {episode}'
+        raise BagError(f'{reader.path} has no {what}')
+    return itertools.chain([first], frames)
+
+
+def _refuse_existing(path: Path | str) -> None:
+    if Path(path).exists():
+        raise BagError(f'{path} exists already; nothing was overwritten')
+    if not Path(path).resolve().parent.is_dir():
+        raise BagError(f'{Path(path).parent} is not a folder')
+
+
+def _number(value: float | None) -> str:
+    """Return a number without a needless `.0`, every bit of it kept."""
+    if value is None:
+        return ''
+    return str(int(value)) if value.is_integer() else repr(value)

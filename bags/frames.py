@@ -1,0 +1,102 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""The published frames of a bag: `step`, image and Q-values of one stamp together."""
+from __future__ import annotations
+
+from collections.abc import Iterator
+import dataclasses
+from typing import Any
+
+import numpy as np
+
+from bags.contract import find_topic, need_topic
+from bags.decode import Bundle, BundleDecoder, decode
+from bags.reader import BagReader
+from msgs_bridge.errors import MessageError
+from msgs_bridge.images import image_to_array
+from msgs_bridge.stamps import to_nanoseconds
+from msgs_bridge.topics import IMAGE, Q_VALUES, STEP
+
+NEEDED = ('reward', 'terminated', 'truncated', 'lap_finished', 'episode', 'decision', 'step',
+          'episode_return', 'steer', 'gas', 'brake', 'frames')
+
+
+@dataclasses.dataclass(frozen=True)
+class RecordedFrame:
+    """
+    One published frame of a bag.
+
+    Attributes:
+        number: of the `step` message in its topic, from 0.
+        stamp: simulation time in ns.
+        facts: `step_fields.STEP_FIELDS` by name.
+        pixels: uint8 (H, W, 3), or None if its image is not in the bag.
+        q_values: name -> value of the decision that this frame led to; empty if not recorded.
+    """
+
+    number: int
+    stamp: int
+    facts: dict[str, float]
+    pixels: np.ndarray | None
+    q_values: dict[str, float]
+
+
+def recorded_frames(reader: BagReader, *, namespace: str = '') -> Iterator[RecordedFrame]:
+    """
+    Yield the published frames of a bag in order of their stamps.
+
+    Raises:
+        BagError: a damaged bag, or one without images or steps.
+        MessageError: a message that cannot be used, or time that goes back.
+    """
+    steps = need_topic(reader, STEP, namespace=namespace)
+    images = _images(reader, need_topic(reader, IMAGE, namespace=namespace))
+    q_values = _q_values(reader, find_topic(reader, Q_VALUES, namespace=namespace))
+    decoder = BundleDecoder()
+    newest = -1
+    for number, message in enumerate(reader.messages([steps])):
+        bundle = decoder.decode(message.data, steps)
+        facts = bundle.values_with(NEEDED)
+        if bundle.stamp == newest:
+            continue
+        if bundle.stamp < newest:
+            raise MessageError(f'{steps}: message {number} goes back in time')
+        newest = bundle.stamp
+        yield RecordedFrame(
+            number, newest, facts, images.at(newest), q_values.at(newest) or {})
+
+
+class _Stream:
+    """Values of a topic by stamp, asked for in order of time."""
+
+    def __init__(self, values: Iterator[tuple[int, Any]]) -> None:
+        self._values = values
+        self._next: tuple[int, Any] | None = None
+
+    def at(self, stamp: int) -> Any:
+        """Return the value of a stamp, or None; older ones are passed over."""
+        while self._next is None or self._next[0] < stamp:
+            self._next = next(self._values, None)
+            if self._next is None:
+                return None
+        return self._next[1] if self._next[0] == stamp else None
+
+
+def _images(reader: BagReader, name: str) -> _Stream:
+    type_name = reader.topics[name].type_name
+
+    def values() -> Iterator[tuple[int, np.ndarray]]:
+        for message in reader.messages([name]):
+            image = decode(message.data, type_name, name)
+            yield to_nanoseconds(image.header.stamp), image_to_array(image)
+    return _Stream(values())
+
+
+def _q_values(reader: BagReader, name: str | None) -> _Stream:
+    decoder = BundleDecoder()
+
+    def values() -> Iterator[tuple[int, dict[str, float]]]:
+        for message in reader.messages([name]) if name else ():
+            bundle: Bundle = decoder.decode(message.data, name)
+            yield bundle.stamp, bundle.values_with()
+    return _Stream(values())

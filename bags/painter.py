@@ -1,0 +1,114 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""A frame as people look at it: the picture, and beside it reward, speed, controls, Q-values."""
+from __future__ import annotations
+
+from PIL import Image, ImageDraw, ImageFont
+import numpy as np
+
+from bags.frames import RecordedFrame
+from msgs_bridge.step_fields import Q_VALUE_EXTRAS
+
+PANEL_WIDTH = 320
+MARGIN = 14
+LINE = 22
+FONT_SIZE = 15
+# bars of Q-values that fit below the numbers
+MAX_BARS = 12
+BACKGROUND = (24, 26, 30)
+TEXT = (230, 230, 230)
+DIM = (150, 150, 155)
+GREEN = (90, 190, 110)
+RED = (215, 95, 85)
+BLUE = (95, 150, 220)
+
+
+class FramePainter:
+    """Paints frames of one size."""
+
+    def __init__(self, side: int, scale: int) -> None:
+        """Prepare pictures of frames of `side` pixels, `scale` times as large."""
+        self._picture = side * scale
+        # encoders want even numbers
+        self.width = self._picture + PANEL_WIDTH + self._picture % 2
+        self.height = max(self._picture, 384) + max(self._picture, 384) % 2
+        self._font = ImageFont.load_default(FONT_SIZE)
+
+    def paint(self, frame: RecordedFrame, q_values: dict[str, float]) -> np.ndarray:
+        """
+        Return the picture, uint8 (height, width, 3).
+
+        Args:
+            frame: what was recorded; a missing image stays dark.
+            q_values: of the newest decision, as the `q_values` topic names them.
+        """
+        canvas = Image.new('RGB', (self.width, self.height), BACKGROUND)
+        if frame.pixels is not None:
+            picture = Image.fromarray(np.ascontiguousarray(frame.pixels))
+            canvas.paste(picture.resize((self._picture, self._picture), Image.Resampling.NEAREST))
+        draw = ImageDraw.Draw(canvas)
+        left = self._picture + MARGIN
+        top = self._numbers(draw, frame.facts, left)
+        top = self._controls(draw, frame.facts, left, top)
+        self._q_values(draw, q_values, left, top)
+        return np.asarray(canvas)
+
+    def _numbers(self, draw: ImageDraw.ImageDraw, facts: dict[str, float], left: int) -> int:
+        rows = (
+            ('episode', f'{facts["episode"]:.0f}'),
+            ('frame', f'{facts["step"]:.0f}'),
+            ('return', f'{facts["episode_return"]:.1f}'),
+            ('reward', f'{facts["reward"]:+.2f}'),
+            ('speed', f'{facts.get("speed", 0):.1f}'),
+            ('tiles', f'{facts.get("tiles_visited", 0):.0f} / {facts.get("tiles_total", 0):.0f}'))
+        top = MARGIN
+        for name, value in rows:
+            draw.text((left, top), name, DIM, self._font)
+            colour = TEXT
+            if name == 'reward':
+                colour = GREEN if facts['reward'] > 0 else RED
+            draw.text((left + 100, top), value, colour, self._font)
+            top += LINE
+        return top + LINE // 2
+
+    def _controls(
+        self, draw: ImageDraw.ImageDraw, facts: dict[str, float], left: int, top: int,
+    ) -> int:
+        width = PANEL_WIDTH - 100 - 2 * MARGIN
+        for name, value, colour in (
+            ('steer', facts['steer'], BLUE), ('gas', facts['gas'], GREEN),
+            ('brake', facts['brake'], RED),
+        ):
+            draw.text((left, top), name, DIM, self._font)
+            origin = left + 100 + (width // 2 if name == 'steer' else 0)
+            reach = round(value * (width // 2 if name == 'steer' else width))
+            _bar(draw, origin, top, reach, colour)
+            top += LINE
+        return top + LINE // 2
+
+    def _q_values(
+        self, draw: ImageDraw.ImageDraw, q_values: dict[str, float], left: int, top: int,
+    ) -> None:
+        actions = [(name, value) for name, value in q_values.items()
+                   if name not in Q_VALUE_EXTRAS][:MAX_BARS]
+        if not actions:
+            return
+        chosen = int(q_values.get('chosen', -1))
+        width = PANEL_WIDTH - 170 - 2 * MARGIN
+        lowest = min(value for _, value in actions)
+        spread = max(value for _, value in actions) - lowest or 1.0
+        for number, (name, value) in enumerate(actions):
+            if top + LINE > self.height:
+                return
+            colour = TEXT if number == chosen else DIM
+            draw.text((left, top), name[:13], colour, self._font)
+            draw.text((left + 105, top), f'{value:7.2f}', colour, self._font)
+            # the bars show the differences, which are small beside the values
+            _bar(draw, left + 170, top, 2 + round((value - lowest) / spread * (width - 2)),
+                 GREEN if number == chosen else BLUE)
+            top += LINE
+
+
+def _bar(draw: ImageDraw.ImageDraw, origin: int, top: int, reach: int, colour: tuple) -> None:
+    left, right = sorted((origin, origin + reach))
+    draw.rectangle((left, top + 4, right, top + FONT_SIZE), colour)
