@@ -98,10 +98,9 @@ def save_figure(figure: Figure, folder: Path, name: str) -> list[Path]:
     return paths
 
 
-def horizontal_mark(axes: Axes, value: float, text: str, *, above: bool = True) -> None:
-    """Draw a thin line across at a value, with its name at the right end."""
+def horizontal_mark(axes: Axes, value: float, text: str) -> None:
+    """Draw a thin line across at a value, with its name below the right end."""
     axes.axhline(value, color=SEED_COLOUR, linewidth=1.0, linestyle=(0, (4, 3)), zorder=1)
     axes.annotate(
-        text, (1.0, value), xycoords=('axes fraction', 'data'), xytext=(0, 2 if above else -2),
-        textcoords='offset points', ha='right', va='bottom' if above else 'top',
-        fontsize=8.5, color=SEED_COLOUR)
+        text, (1.0, value), xycoords=('axes fraction', 'data'), xytext=(0, -2),
+        textcoords='offset points', ha='right', va='top', fontsize=8.5, color=SEED_COLOUR)

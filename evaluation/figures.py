@@ -28,6 +28,11 @@ BIN = 25.0
 """Points in a bar of the distribution."""
 
 LAP_WINDOW = 10
+ROOM_FOR_TEXT = 110.0
+"""Points below the lowest line, for its name."""
+
+# inches that a legend entry takes: its sign with the gaps, and each letter
+LEGEND_HANDLE, LEGEND_LETTER = 0.7, 0.07
 
 
 class NothingToShow(Exception):
@@ -80,7 +85,7 @@ def _training_rewards(runs: Sequence[Run], size: Size) -> Figure:
 
 
 def _validation_rewards(runs: Sequence[Run], size: Size) -> Figure:
-    figure, axes = _one(size, 'training episode', 'mean return of greedy laps, points')
+    figure, axes = _one(size, 'training episode', 'mean return, points')
     drawn = [run for run in runs if run.validation.has('mean', 'episode')
              or run.episodes.has('validation_reward', 'episode')]
     _need(drawn, 'no run has validations (validation.csv, mean; or episodes.csv, '
@@ -153,9 +158,9 @@ def _wall_time(runs: Sequence[Run], size: Size) -> Figure:
             seconds, means = run.validation.known('wall_seconds', 'mean')
             axes.plot(seconds / 60, means, 'o', markersize=4.5, linestyle='-', color=colour,
                       label=f'{run.name}, validation')
-    style.horizontal_mark(
-        axes, STATED['test_mean'],
-        f'{SHORT_NAME}: {STATED["test_mean"]:g} after {STATED["hours"]:g} h on a GPU')
+    axes.axhline(
+        STATED['test_mean'], color=style.SEED_COLOUR, linewidth=1, linestyle=(0, (4, 3)),
+        label=f'{SHORT_NAME}: {STATED["test_mean"]:g} after {STATED["hours"]:g} h on a GPU')
     _legend_below(figure, axes)
     return figure
 
@@ -170,8 +175,9 @@ def _dummy_against_trained(runs: Sequence[Run], size: Size) -> Figure:
         axes.plot(numbers, returns, '.', markersize=4, color=colour, alpha=0.4)
         axes.plot(numbers, moving_average(returns, LAP_WINDOW), color=colour, linestyle=dash,
                   label=f'{name}, mean of {LAP_WINDOW}')
-    style.horizontal_mark(axes, STATED['test_mean'], f'{SHORT_NAME}, trained', above=False)
-    style.horizontal_mark(axes, STATED['dummy_mean'], f'{SHORT_NAME}, dummy', above=False)
+    style.horizontal_mark(axes, STATED['test_mean'], f'{SHORT_NAME}, trained')
+    style.horizontal_mark(axes, STATED['dummy_mean'], f'{SHORT_NAME}, dummy')
+    axes.set_ylim(bottom=min(axes.get_ylim()[0], STATED['dummy_mean'] - ROOM_FOR_TEXT))
     _legend_below(figure, axes)
     return figure
 
@@ -190,6 +196,7 @@ def _distribution(runs: Sequence[Run], size: Size) -> Figure:
         axes.hist(returns, bins, weights=weights, color=colour, histtype='step', linestyle=dash,
                   linewidth=1.4)
     axes.yaxis.set_major_formatter(PercentFormatter(1, decimals=0))
+    axes.set_ylim(top=1.25 * axes.get_ylim()[1])
     for key, who in (('test_mean', 'trained'), ('dummy_mean', 'dummy')):
         axes.axvline(STATED[key], color=style.SEED_COLOUR, linewidth=1, linestyle=(0, (4, 3)))
         axes.annotate(f'{SHORT_NAME},\n{who}: {STATED[key]:g}', (STATED[key], 0.98),
@@ -310,10 +317,13 @@ def _two(size: Size, x: str, upper: str, lower: str) -> tuple[Figure, tuple[Axes
 
 
 def _legend_below(figure: Figure, axes: Axes) -> None:
+    """Put the legend below, in as many columns as the width holds."""
     handles, labels = axes.get_legend_handles_labels()
     if handles:
-        columns = 1 if figure.get_figwidth() < 6 else min(3, len(handles))
+        inches = LEGEND_HANDLE + LEGEND_LETTER * max(map(len, labels))
+        columns = int(np.clip(figure.get_figwidth() // inches, 1, len(handles)))
         figure.legend(handles, labels, loc='outside lower center', ncols=columns)
+
 
 
 FIGURES = (

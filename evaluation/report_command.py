@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         f'(default: dummy*.json in RUN, or {DUMMY_LAPS} laps driven now)')
     parser.add_argument(
         '--laps', type=int, default=3, metavar='N',
-        help='laps to show from above: the worst, the median and the best of the test, then '
+        help='laps to show from above: the best, the worst and the median of the test, then '
         'others; 0 for none (default: %(default)s)')
 
 
@@ -78,8 +78,8 @@ def main(arguments: argparse.Namespace) -> int:
     output = arguments.output or Path(arguments.run) / 'report'
     _make_folder(output / 'figures')
     _need_dummy(runs, output, console)
-    trajectories = list(_trajectories(runs[0], arguments.laps, console))
-    pictures, laps = make_pictures(runs), lap_pictures(trajectories)
+    laps = lap_pictures(list(_trajectories(runs[0], arguments.laps, console)))
+    pictures = make_pictures(runs)
     try:
         for picture in (*pictures, *laps):
             if picture.figure is not None:
@@ -121,31 +121,37 @@ def _need_dummy(runs: list[Run], output: Path, console: Console) -> None:
         run.dummy = run.dummy or dummy
 
 
-def _trajectories(run: Run, count: int, console: Console) -> Iterator[Trajectory]:
-    """Drive laps of a run's model once more and yield them; a model that fails is a problem."""
+def _trajectories(
+    run: Run, count: int, console: Console,
+) -> Iterator[tuple[str, Trajectory]]:
+    """Drive laps of a run's model once more; yield heading and lap; a bad model is a problem."""
     if not count or run.model is None:
         return
     try:
         policy = PolicySource(MODEL, str(run.model)).open()
-        for seed in _interesting_seeds(run, count):
+        for heading, seed in _interesting_laps(run, count):
             console.print(f'driving track {seed} to draw it', highlight=False)
             env = make_simulator('fast')
             try:
-                yield drive_trajectory(env, policy, seed)
+                yield heading, drive_trajectory(env, policy, seed)
             finally:
                 env.close()
     except BridgeError as error:
         run.problems.append(f'No laps are shown: {error}.')
 
 
-def _interesting_seeds(run: Run, count: int) -> list[int]:
-    """Return seeds of the worst, the median and the best test lap, then others in turn."""
+def _interesting_laps(run: Run, count: int) -> list[tuple[str, int]]:
+    """Return heading and seed of the best, the median and the worst test lap, then others."""
     if run.evaluation is None:
-        return list(range(DUMMY_SEED, DUMMY_SEED + count))
-    laps = sorted(run.evaluation.ordered, key=lambda lap: lap.episode_return)
-    order = [0, len(laps) // 2, len(laps) - 1, *range(len(laps))]
-    places = list(dict.fromkeys(order))[:count]
-    return [laps[place].seed for place in places]
+        return [(f'Test track {seed}', seed) for seed in range(DUMMY_SEED, DUMMY_SEED + count)]
+    laps = sorted(run.evaluation.ordered, key=lambda lap: -lap.episode_return)
+    headings = {0: 'The best test lap'}
+    headings.setdefault(len(laps) - 1, 'The worst test lap')
+    headings.setdefault(len(laps) // 2, 'The median test lap')
+    for place in range(len(laps)):
+        headings.setdefault(place, f'Test lap {place + 1} of {len(laps)} by return')
+    chosen = list(headings.items())[:count]
+    return [(heading, laps[place].seed) for place, heading in sorted(chosen)]
 
 
 def _distinct_names(runs: list[Run]) -> None:

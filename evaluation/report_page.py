@@ -50,14 +50,14 @@ def make_pictures(runs: Sequence[Run]) -> list[Picture]:
     return [_picture(kind, runs) for kind in FIGURES]
 
 
-def lap_pictures(trajectories: Sequence[Trajectory]) -> list[Picture]:
-    """Draw laps from above."""
+def lap_pictures(laps: Sequence[tuple[str, Trajectory]]) -> list[Picture]:
+    """Draw laps from above, each with its heading."""
     return [
         Picture(
-            f'lap_{trajectory.lap.seed}', lap_title(trajectory.lap), '',
+            f'lap_{trajectory.lap.seed}', heading, lap_title(trajectory.lap),
             _data_uri(wide := lap_picture(trajectory)),
             _data_uri(lap_picture(trajectory, phone=True)), figure=wide)
-        for trajectory in trajectories]
+        for heading, trajectory in laps]
 
 
 def render(runs: Sequence[Run], pictures: Sequence[Picture], laps: Sequence[Picture]) -> str:
