@@ -18,7 +18,8 @@ class QNetwork(nn.Module):
     """
     Convolutions, one fully connected layer and a Q-value for each action (report, 2.1).
 
-    Weights are kept channels-last, in which the CPU's convolutions are fastest.
+    Everything lies channels-last, in which the CPU's convolutions are fastest; the fully
+    connected layer takes its inputs in that order, too, so nothing is moved in between.
     """
 
     def __init__(self, description: ModelDescription) -> None:
@@ -41,26 +42,32 @@ class QNetwork(nn.Module):
         self.dropout = network.dropout
         self.to(memory_format=torch.channels_last)
 
+    def prepare(self, pictures: torch.Tensor) -> torch.Tensor:
+        """Return pictures, uint8 (B, stack, H, W), as `forward` takes them: 0 to 255."""
+        # bytes are moved before they get wider; bfloat16 holds whole numbers up to 256 exactly
+        return pictures.contiguous(memory_format=torch.channels_last).to(self.hidden.weight.dtype)
+
     def forward(
-        self, pictures: torch.Tensor, *, dropout: np.random.Generator | None = None,
+        self, x: torch.Tensor, *, dropout: np.random.Generator | None = None,
     ) -> torch.Tensor:
         """
         Return the Q-values.
 
         Args:
-            pictures: uint8 (B, stack, H, W), 0 to 255.
+            x: what `prepare` returned, (B, stack, H, W).
             dropout: generator that chooses activations to drop, as while learning.
 
         Returns:
-            float32 (B, actions); bfloat16 arithmetic inside autocast gives float32 as well.
+            float32 (B, actions), whatever the weights are.
         """
-        x = pictures.to(self.hidden.weight.dtype).mul_(1 / 255)
-        x = x.contiguous(memory_format=torch.channels_last)
-        for index, convolution in enumerate(self.convolutions):
-            x = functional.relu(convolution(x), inplace=True)
+        for index, layer in enumerate(self.convolutions):
+            # pictures are scaled to 0..1 by way of the weights, which are fewer
+            weight = layer.weight * (1 / 255) if index == 0 else layer.weight
+            x = functional.relu(
+                functional.conv2d(x, weight, layer.bias, layer.stride), inplace=True)
             if dropout is not None and self.dropout and index == DROPOUT_LAYER:
                 x = x * _dropout_mask(x, self.dropout, dropout)
-        x = functional.relu(self.hidden(x.flatten(1)), inplace=True)
+        x = functional.relu(self.hidden(x.permute(0, 2, 3, 1).flatten(1)), inplace=True)
         if not self.description.network.dueling:
             return self.output(x).float()
         of_value, of_advantage = x.chunk(2, dim=1)

@@ -127,7 +127,7 @@ class Policy(_HeldAction):
     def q_values(self, pictures: np.ndarray) -> np.ndarray:
         """Return the Q-values, float32 (actions,), of a stack, uint8 (stack, H, W)."""
         batch = torch.from_numpy(pictures).unsqueeze(0).to(self._device)
-        return self._network(batch)[0].cpu().numpy()
+        return self._network(self._network.prepare(batch))[0].cpu().numpy()
 
     def swap_weights(self, update: WeightsUpdate) -> None:
         """

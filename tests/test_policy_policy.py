@@ -123,6 +123,7 @@ def test_the_dummy_agent_draws_all_actions_alike():
 def test_dropout_drops_its_share_and_only_when_asked():
     network = QNetwork(DESCRIPTION)
     pictures = torch.from_numpy(frames(1)[..., 0]).repeat(1, 3, 1, 1)[:, :, ::4, ::4]
+    pictures = network.prepare(pictures)
     assert torch.equal(network(pictures), network(pictures))
     random = np.random.default_rng(0)
     outputs = [network(pictures, dropout=random) for _ in range(400)]

@@ -58,9 +58,14 @@ class Learner:
     """
     The networks, the optimizer and the update.
 
+    With `bf16` the arithmetic is done by bfloat16 copies of the weights, made anew after every
+    update, while the optimizer works on the float32 ones (arXiv 1710.03740). That is autocast by
+    hand: it casts each weight once and not at every use.
+
     Attributes:
-        online: the network that learns.
+        online: the network that learns, float32.
         target: the network that judges; a copy of an earlier `online`.
+        averaged: the averaged weights, None when they are off.
         updates: updates made.
     """
 
@@ -70,22 +75,33 @@ class Learner:
         self.device = choose_device(device)
         description = settings.model_description()
         self.online = QNetwork(description).to(self.device)
+        self._working = self.online
         self.target = QNetwork(description).to(self.device).requires_grad_(False)
+        if settings.bf16:
+            self._working = QNetwork(description).to(self.device, torch.bfloat16)
+            self.target.to(torch.bfloat16)
         self.averaged: QNetwork | None = None
         if settings.weight_average:
             self.averaged = QNetwork(description).to(self.device).requires_grad_(False)
             self.averaged.load_state_dict(self.online.state_dict())
-        self.copy_to_target()
         self.updates = 0
         self._dropout = np.random.default_rng([settings.seed, 1])
         self._parameters = list(self.online.parameters())
         self._optimizer = torch.optim.Adam(
             self._parameters, settings.learning_rate, eps=settings.adam_epsilon, fused=True)
         self._loss = {'l1': functional.l1_loss, 'huber': functional.smooth_l1_loss}[settings.loss]
+        self._copy_to_working()
+        self.copy_to_target()
 
     def copy_to_target(self) -> None:
         """Let the target network be what the online network is now."""
         self.target.load_state_dict(self.online.state_dict())
+
+    @torch.no_grad()
+    def _copy_to_working(self) -> None:
+        """Let the bfloat16 weights be what the float32 weights are now."""
+        if self._working is not self.online:
+            torch._foreach_copy_(list(self._working.parameters()), self._parameters)
 
     def update(self, batch: Batch, learning_rate: float) -> UpdateResult:
         """
@@ -98,22 +114,21 @@ class Learner:
             torch.from_numpy(array).to(self.device) for array in (
                 batch.pictures, batch.next_pictures, batch.actions, batch.rewards,
                 batch.discounts))
-        actions = actions.unsqueeze(1)
-        with torch.autocast(self.device.type, torch.bfloat16, enabled=self.settings.bf16):
-            target = self._targets(next_pictures, rewards, discounts)
-            values = self.online(pictures, dropout=self._dropout).gather(1, actions).squeeze(1)
-        loss = self._loss(values, target)
-        self._optimizer.zero_grad()
+        target = self._targets(next_pictures, rewards, discounts)
+        network = self._working
+        q_values = network(network.prepare(pictures), dropout=self._dropout)
+        chosen = q_values.gather(1, actions.unsqueeze(1)).squeeze(1)
+        loss = self._loss(chosen, target)
+        network.zero_grad()
         loss.backward()
-        norm = torch.nn.utils.clip_grad_norm_(self._parameters, self.settings.gradient_clip)
-        result = UpdateResult(
-            loss.item(), (values.detach() - target).abs().mean().item(),
-            values.detach().mean().item(), norm.item())
+        result = UpdateResult(*torch.stack([
+            loss, (chosen - target).abs().mean(), chosen.mean(), self._clip_gradient()]).tolist())
         if not math.isfinite(result.loss + result.gradient_norm):
             raise LearningError(self._explain(batch, result))
         for group in self._optimizer.param_groups:
             group['lr'] = learning_rate
         self._optimizer.step()
+        self._copy_to_working()
         self.updates += 1
         self._average()
         if (self.settings.target_update == 'updates'
@@ -126,13 +141,30 @@ class Learner:
         self, next_pictures: torch.Tensor, rewards: torch.Tensor, discounts: torch.Tensor,
     ) -> torch.Tensor:
         """Return reward plus discounted value of what came next, float32 (B,)."""
-        judged = self.target(next_pictures)
+        x = self.target.prepare(next_pictures)
+        judged = self.target(x)
         if self.settings.double:
-            chosen = self.online(next_pictures).argmax(1, keepdim=True)
-            value = judged.gather(1, chosen).squeeze(1)
+            best = self._working(x).argmax(1, keepdim=True)
+            value = judged.gather(1, best).squeeze(1)
         else:
             value = judged.amax(1)
         return rewards + discounts * value
+
+    @torch.no_grad()
+    def _clip_gradient(self) -> torch.Tensor:
+        """Hand the gradient to the optimizer, no longer than allowed; return its norm before."""
+        gradients = [parameter.grad for parameter in self._working.parameters()]
+        if self._working is not self.online:
+            for parameter in self._parameters:
+                if parameter.grad is None:
+                    parameter.grad = torch.empty_like(parameter)
+            wide = [parameter.grad for parameter in self._parameters]
+            torch._foreach_copy_(wide, gradients)
+            gradients = wide
+        norm = torch.stack(torch._foreach_norm(gradients)).norm()
+        if norm > self.settings.gradient_clip:
+            torch._foreach_mul_(gradients, self.settings.gradient_clip / norm)
+        return norm
 
     @torch.no_grad()
     def _average(self) -> None:
@@ -179,7 +211,7 @@ class Learner:
         for name, parameter in self.online.named_parameters():
             for key, tensor in self._optimizer.state.get(parameter, {}).items():
                 state[f'adam.{key}.{name}'] = tensor
-        return {name: tensor.detach().cpu() for name, tensor in state.items()}
+        return {name: tensor.detach().cpu().float() for name, tensor in state.items()}
 
     def load_state(self, tensors: dict[str, torch.Tensor], updates: int) -> None:
         """
@@ -199,6 +231,7 @@ class Learner:
                     'step': tensors[f'adam.step.{name}'].to(self.device).clone(),
                     **{key: torch.empty_like(parameter, requires_grad=False).copy_(
                         tensors[f'adam.{key}.{name}']) for key in ('exp_avg', 'exp_avg_sq')}}
+        self._copy_to_working()
         self.updates = updates
 
     def _networks(self) -> dict[str, QNetwork]:
