@@ -10,11 +10,9 @@ from typing import Any
 import numpy as np
 
 from bags.contract import find_topic, need_topic
-from bags.decode import Bundle, BundleDecoder, decode
+from bags.decode import Bundle, BundleDecoder, ImageDecoder
 from bags.reader import BagReader
 from msgs_bridge.errors import MessageError
-from msgs_bridge.images import image_to_array
-from msgs_bridge.stamps import to_nanoseconds
 from msgs_bridge.topics import IMAGE, Q_VALUES, STEP
 
 NEEDED = ('reward', 'terminated', 'truncated', 'lap_finished', 'episode', 'decision', 'step',
@@ -83,13 +81,8 @@ class _Stream:
 
 
 def _images(reader: BagReader, name: str) -> _Stream:
-    type_name = reader.topics[name].type_name
-
-    def values() -> Iterator[tuple[int, np.ndarray]]:
-        for message in reader.messages([name]):
-            image = decode(message.data, type_name, name)
-            yield to_nanoseconds(image.header.stamp), image_to_array(image)
-    return _Stream(values())
+    decoder = ImageDecoder()
+    return _Stream(decoder.decode(message.data, name) for message in reader.messages([name]))
 
 
 def _q_values(reader: BagReader, name: str | None) -> _Stream:

@@ -8,11 +8,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from bags.contract import need_topic
-from bags.decode import decode
+from bags.decode import ImageDecoder
 from bags.errors import BagError
 from bags.reader import BagReader
-from msgs_bridge.images import image_to_array
-from msgs_bridge.stamps import to_nanoseconds
 from msgs_bridge.topics import IMAGE
 
 
@@ -38,9 +36,9 @@ def bag_images(
     type_name = reader.topics[name].type_name
     if type_name != IMAGE.type_name:
         raise BagError(f'{name} is of type {type_name}; expected {IMAGE.type_name}')
+    decoder = ImageDecoder()
     for message in messages:
-        image = decode(message.data, type_name, name)
-        yield to_nanoseconds(image.header.stamp), image_to_array(image)
+        yield decoder.decode(message.data, name)
 
 
 def load_images(

@@ -8,10 +8,9 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from bags.contract import find_topic, need_topic, TWIST
-from bags.decode import BundleDecoder, decode
+from bags.decode import BundleDecoder, decode, ImageDecoder
 from bags.reader import BagReader
 from msgs_bridge.errors import MessageError
-from msgs_bridge.images import image_to_array
 from msgs_bridge.stamps import NANOSECONDS, to_nanoseconds
 from msgs_bridge.topics import CMD_VEL, IMAGE, STEP
 from msgs_bridge.transitions import Transition, TransitionJoiner
@@ -56,18 +55,16 @@ def _transitions(
     twists = find_topic(reader, CMD_VEL, namespace=namespace)
     if twists is not None and reader.topics[twists].type_name == TWIST:
         twists = None
-    image_type = reader.topics[images].type_name
     joiner = TransitionJoiner()
     decoder = BundleDecoder()
+    image_decoder = ImageDecoder()
     wanted = [images, steps] if twists is None else [images, steps, twists]
     needed = NEEDED + CONTROLS if twists is None else NEEDED
     try:
         for message in reader.messages(wanted):
             try:
                 if message.topic == images:
-                    image = decode(message.data, image_type, images)
-                    joined = joiner.add_image(
-                        to_nanoseconds(image.header.stamp), image_to_array(image))
+                    joined = joiner.add_image(*image_decoder.decode(message.data, images))
                 elif message.topic == steps:
                     bundle = decoder.decode(message.data, steps)
                     facts = bundle.values_with(needed)
