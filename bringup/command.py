@@ -12,7 +12,7 @@ from msgs_bridge.errors import BridgeError
 SUBCOMMANDS = {
     'run': ('bringup.run_command', 'drive laps with the shipped model and record a bag'),
     'train': ('bringup.train_command', 'the whole learning graph, validation included'),
-    'evaluate': ('evaluation.evaluate_command',
+    'evaluate': ('bringup.evaluate_command',
                  'greedy laps on seeded tracks in the unmodified environment'),
     'report': ('evaluation.report_command', 'figures and tables of the seed document from a run'),
     'bag': ('bags.command', 'record, play, info, verify, recover and export MCAP bags'),

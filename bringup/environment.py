@@ -16,7 +16,7 @@ import sys
 from msgs_bridge.atomic_write import write_text
 
 PACKAGE = 'carracing_dqn'
-SHARED = ('package.xml', 'launch', 'config', 'models')
+SHARED = ('package.xml', 'config', 'models')
 EXECUTABLES = (
     'carracing_sim_node', 'dqn_policy_node', 'trainer_node', 'validation_node',
     'bag_recorder_node', 'bag_player_node',
@@ -36,6 +36,8 @@ unset prefix
 
 def link(path: Path, target: Path) -> None:
     """Make `path` a relative link to `target`, in place of an older link."""
+    if path.parent.is_symlink():
+        path.parent.unlink()
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.is_symlink():
         path.unlink()
@@ -54,6 +56,9 @@ def lay_out(prefix: Path, source: Path) -> None:
          source / 'resource' / PACKAGE)
     for name in SHARED:
         link(prefix / 'share' / PACKAGE / name, source / name)
+    # one by one: `ros2 launch` does not look into folders that are links
+    for path in sorted((source / 'launch').glob('*.launch.py')):
+        link(prefix / 'share' / PACKAGE / 'launch' / path.name, path)
     for name in EXECUTABLES:
         link(prefix / 'lib' / PACKAGE / name, prefix / 'bin' / name)
     write_text(prefix / 'setup.bash', SETUP_BASH.format())

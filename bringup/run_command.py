@@ -126,7 +126,8 @@ def laps_line(state: GraphState) -> str:
     if not state.episodes:
         return 'driving: ' + state.health.get('carracing_sim_node', {}).get('summary', 'starting')
     lap = state.episodes[-1]
-    return (f'{len(state.episodes)} laps, mean return '
+    laps = f'{len(state.episodes)} lap{"s" if len(state.episodes) > 1 else ""}'
+    return (f'{laps}, mean return '
             f'{mean_return(state):.1f}; last: {lap["episode_return"]:.1f} in '
             f'{lap["frames"]:.0f} frames, {lap_end(lap)}')
 

@@ -283,7 +283,8 @@ class CarRacingSimNode(NodeShell):
     def close(self) -> None:
         """Let the last frame arrive, then let go of the environment."""
         for publisher in (self._step_publisher, self._image_publisher, self._episode_publisher):
-            publisher.wait_for_all_acked(LAST_WORDS)
+            if self.context.ok():
+                publisher.wait_for_all_acked(LAST_WORDS)
         self.drive.env.close()
 
 
