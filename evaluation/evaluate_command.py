@@ -17,6 +17,7 @@ from evaluation.policies import MODEL, parse_policy, PolicySource
 from evaluation.progress import LapProgress, summary_table
 from evaluation.results import describe_machine, Results, resume, write_csv, write_json
 from evaluation.simulators import SIMULATORS
+from evaluation.through_graph import drive_laps_through_graph, RunGraph
 from evaluation.workers import limit_torch_threads
 from rich.console import Console
 
@@ -61,9 +62,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help='record the graph to a new bag (with --through-graph)')
 
 
-def main(arguments: argparse.Namespace) -> int:
+def main(arguments: argparse.Namespace, *, run_graph: RunGraph | None = None) -> int:
     """
     Drive the laps; return the exit code, 130 after Ctrl-C or SIGTERM with the laps kept.
+
+    Args:
+        arguments: see `add_arguments`.
+        run_graph: what drives laps over topics, for `--through-graph`.
 
     Raises:
         BridgeError: an option, a model, a policy or a file that cannot be used.
@@ -84,7 +89,8 @@ def main(arguments: argparse.Namespace) -> int:
     if len(todo) < len(seeds):
         console.print(f'{len(seeds) - len(todo)} of {len(seeds)} laps are in {arguments.json} '
                       'already', highlight=False, soft_wrap=True)
-    interrupted = _drive(arguments, source, todo, results, console)
+    laps = _laps(arguments, source, todo, run_graph)
+    interrupted = _drive(arguments, laps, results, console)
     if results.laps:
         console.print(summary_table(source.name, results.ordered))
     for path in (arguments.json, arguments.csv):
@@ -99,13 +105,11 @@ def main(arguments: argparse.Namespace) -> int:
 
 
 def _drive(
-    arguments: argparse.Namespace, source: PolicySource, todo: list[int], results: Results,
-    console: Console,
+    arguments: argparse.Namespace, laps: Iterator[Lap], results: Results, console: Console,
 ) -> bool:
     """Drive what is left and keep every lap at once; return whether it was interrupted."""
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     spent, started = results.seconds, time.monotonic()
-    laps = _laps(arguments, source, todo)
     try:
         with LapProgress(results.ordered, results.wanted, console) as progress:
             for lap in laps:
@@ -113,8 +117,8 @@ def _drive(
                 results.seconds = spent + time.monotonic() - started
                 _write(arguments, results)
                 progress.add(lap)
-        if not todo:
-            _write(arguments, results)
+        # when nothing was left to drive, a file may still have been asked for
+        _write(arguments, results)
     except KeyboardInterrupt:
         return True
     finally:
@@ -125,10 +129,12 @@ def _drive(
 
 def _laps(
     arguments: argparse.Namespace, source: PolicySource, todo: list[int],
+    run_graph: RunGraph | None,
 ) -> Iterator[Lap]:
     if arguments.through_graph:
-        from evaluation.through_graph import drive_laps_through_graph
-        return drive_laps_through_graph(source, todo, bag=arguments.bag)
+        if run_graph is None:
+            raise EvaluationError('--through-graph is an option of the carracing command')
+        return drive_laps_through_graph(source, todo, run_graph, bag=arguments.bag)
     pictures = None
     if arguments.pictures is not None:
         arguments.pictures.mkdir(parents=True, exist_ok=True)

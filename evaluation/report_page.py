@@ -168,8 +168,12 @@ def _picture(kind: FigureKind, runs: Sequence[Run]) -> Picture:
         narrow = draw(kind, runs, style.NARROW)
     except NothingToShow as reason:
         return Picture(kind.name, kind.title, kind.caption, reason=str(reason))
-    return Picture(kind.name, kind.title, kind.caption, _data_uri(wide), _data_uri(narrow),
-                   figure=wide)
+    picture = Picture(kind.name, kind.title, kind.caption, _data_uri(wide), _data_uri(narrow),
+                      figure=wide)
+    # the page has headings of its own; a file stands alone
+    with style.styled():
+        wide.suptitle(kind.title, x=0.01, ha='left', fontsize=12, fontweight='bold')
+    return picture
 
 
 def _data_uri(figure: Figure) -> str:
