@@ -8,6 +8,7 @@ from collections.abc import Callable
 import dataclasses
 import importlib
 import os
+import signal
 import sys
 from typing import Any
 
@@ -184,6 +185,9 @@ def run_node(make_node: Callable[[], NodeShell], args: list[str] | None = None) 
         sys.stderr.write(f'error: {error}\n')
         return 2
     finally:
+        # what is left to do is bounded, and a second Ctrl-C must not cut off a save
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)
         if node is not None:
             node.close()
             node.destroy_node()
