@@ -16,6 +16,8 @@ from bags.mcap_records import MAX_CHUNK
 COMPRESSIONS = {'none': '', 'lz4': 'lz4', 'zstd': 'zstd'}
 # frames of flat colours: level 1 packs nearly as well as 3 in half the time
 ZSTD_LEVEL = 1
+# A byte of lz4 makes at most 255; the library allocates what it is told before it looks.
+LZ4_RATIO = 255
 
 
 def packer(name: str) -> Callable[[bytes], bytes]:
@@ -49,6 +51,8 @@ def unpack(compression: str, data: Any, size: int) -> Any:
         if compression == '':
             unpacked = data
         elif compression == 'lz4':
+            if size > LZ4_RATIO * len(data):
+                raise BagError(f'chunk says {len(data)} bytes of lz4 unpack to {size}')
             # one byte more than promised is enough to see that there is more
             unpacked = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1)
         elif compression == 'zstd':

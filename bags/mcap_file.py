@@ -77,6 +77,7 @@ class McapFile:
         complete: whether the file ends as it should.
         problem: why it is not complete, in words.
         whole_until: where the last whole record ends.
+        damage: what was passed over because it is damaged, each a sentence (if not strict).
     """
 
     def __init__(self, path: Path | str, *, strict: bool = True) -> None:
@@ -85,10 +86,10 @@ class McapFile:
 
         Args:
             path: the file.
-            strict: refuse a file that is cut off; otherwise read up to the cut.
+            strict: refuse a file that is cut off or damaged; otherwise read what is whole.
 
         Raises:
-            BagError: not an MCAP file, another profile, damaged, or cut off (if strict).
+            BagError: not an MCAP file, another profile, damaged or cut off (if strict).
         """
         self.path = Path(path)
         self.schemas: dict[int, Schema] = {}
@@ -102,6 +103,8 @@ class McapFile:
         self.complete = False
         self.problem = ''
         self.whole_until = 0
+        self.damage: list[str] = []
+        self._plain: list[int] = []
         self._map: mmap.mmap | None = None
         try:
             with self.path.open('rb') as file:
@@ -112,7 +115,7 @@ class McapFile:
             raise BagError(f'{path}: {error.strerror}') from None
         self._view = memoryview(self._map or b'')
         try:
-            self._scan()
+            self._scan(strict)
             if strict and not self.complete:
                 raise BagError(f'{path} is cut off: {self.problem}; '
                                '`carracing bag recover` keeps what is whole')
@@ -250,13 +253,12 @@ class McapFile:
                 heapq.heapreplace(
                     pending, (message.log_time, number, count + 1, following, message))
 
-    def _scan(self) -> None:
+    def _scan(self, strict: bool) -> None:
         """Go through the records of the file and note where messages lie."""
         view = self._view
         if self.size < len(MAGIC) or view[:len(MAGIC)] != MAGIC:
             raise BagError(f'{self.path} is not an MCAP file')
         position = len(MAGIC)
-        plain: list[int] | None = None
         first = True
         while True:
             if position + HEAD.size > self.size:
@@ -271,36 +273,43 @@ class McapFile:
             if first:
                 self._check_header(opcode, view[start:start + length])
                 first = False
-            if opcode != Opcode.MESSAGE and plain:
-                self._add_plain(plain)
-                plain = None
-            if opcode == Opcode.MESSAGE:
-                plain = self._extend_plain(plain, position, start, length)
-            elif opcode == Opcode.CHUNK:
-                self._add_chunk(start, length)
-            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                self._learn(opcode, view[start:start + length])
-            elif opcode == Opcode.METADATA:
-                record = self._parse(opcode, view[start:start + length])
-                self.metadata[record.name] = record.metadata
-            elif opcode == Opcode.STATISTICS:
-                self.counts = dict(self._parse(
-                    opcode, view[start:start + length]).channel_message_counts)
-            elif opcode == Opcode.DATA_END:
-                self.data_end = (
-                    position, self._parse(opcode, view[start:start + length]).data_section_crc)
-                self.summary = (start + length, 0)
+            try:
+                self._take(opcode, position, start, length)
+            except BagError as error:
+                if strict:
+                    raise
+                self.damage.append(str(error))
             self.whole_until = position = start + length
             if opcode == Opcode.FOOTER:
-                self.summary = (self.summary[0], position)
                 self.complete = view[position:position + len(MAGIC)] == MAGIC
                 if not self.complete:
                     self.problem = 'it has no end mark'
                 break
-        if plain:
-            self._add_plain(plain)
+        self._add_plain()
         if first:
             raise BagError(f'{self.path} is cut off: it has no header')
+
+    def _take(self, opcode: int, position: int, start: int, length: int) -> None:
+        """Take what is worth knowing of one record."""
+        content = self._view[start:start + length]
+        if opcode == Opcode.MESSAGE:
+            self._extend_plain(position, start, length)
+            return
+        self._add_plain()
+        if opcode == Opcode.CHUNK:
+            self._add_chunk(start, length)
+        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            self._learn(opcode, content)
+        elif opcode == Opcode.METADATA:
+            record = self._parse(opcode, content)
+            self.metadata[record.name] = record.metadata
+        elif opcode == Opcode.STATISTICS:
+            self.counts = dict(self._parse(opcode, content).channel_message_counts)
+        elif opcode == Opcode.DATA_END:
+            self.data_end = (position, self._parse(opcode, content).data_section_crc)
+            self.summary = (start + length, 0)
+        elif opcode == Opcode.FOOTER:
+            self.summary = (self.summary[0], start + length)
 
     def _check_header(self, opcode: int, content: memoryview) -> None:
         if opcode != Opcode.HEADER:
@@ -331,23 +340,25 @@ class McapFile:
         self.spans.append(Span(
             data, packed, first, last, compression, size, crc, start - HEAD.size))
 
-    def _extend_plain(
-        self, plain: list[int] | None, position: int, start: int, length: int,
-    ) -> list[int]:
+    def _extend_plain(self, position: int, start: int, length: int) -> None:
         """Add a message outside chunks to the present stretch: [start, end, first, last]."""
         if length < MESSAGE.size:
             raise BagError(f'{self.path} at byte {position}: a message of {length} bytes')
         log_time = MESSAGE.unpack_from(self._view, start)[2]
-        if plain and start + length - plain[0] > STRETCH_BYTES:
-            self._add_plain(plain)
-            plain = None
-        if plain is None:
-            return [position, start + length, log_time, log_time]
-        return [plain[0], start + length, min(plain[2], log_time), max(plain[3], log_time)]
+        if self._plain and start + length - self._plain[0] > STRETCH_BYTES:
+            self._add_plain()
+        if not self._plain:
+            self._plain = [position, start + length, log_time, log_time]
+        else:
+            self._plain[1] = start + length
+            self._plain[2] = min(self._plain[2], log_time)
+            self._plain[3] = max(self._plain[3], log_time)
 
-    def _add_plain(self, plain: list[int]) -> None:
-        start, end, first, last = plain
-        self.spans.append(Span(start, end - start, first, last, '', end - start, 0, start))
+    def _add_plain(self) -> None:
+        if self._plain:
+            start, end, first, last = self._plain
+            self.spans.append(Span(start, end - start, first, last, '', end - start, 0, start))
+            self._plain = []
 
     def _learn(self, opcode: int, content: memoryview) -> None:
         known = self.schemas if opcode == Opcode.SCHEMA else self.channels

@@ -213,6 +213,7 @@ class McapStorage:
                 self.files.append(file)
                 if not file.complete:
                     problems.append(f'{path.name} is cut off: {file.problem}')
+                problems.extend(file.damage)
                 self._learn_channels(file)
                 self.provenance.update(file.metadata.get('provenance', {}))
         except BaseException:

@@ -95,6 +95,8 @@ def _copy_file(
         rest = file.size - file.whole_until
         recovery.lost_bytes += rest
         recovery.remarks.append(f'{file.path.name}: {file.problem}; {rest} bytes were lost')
+    recovery.remarks += [f'{damage}; it was left out' for damage in file.damage]
+    unnamed = 0
     for span in file.spans:
         try:
             messages = file.span_messages(span)
@@ -106,10 +108,14 @@ def _copy_file(
         recovery.chunks += 1
         for message in messages:
             if message.channel not in file.channels:
-                raise BagError(f'{file.path}: channel {message.channel} is never named')
+                unnamed += 1
+                continue
             writer.write(
                 _topic(file, message.channel, writer, topics), message.log_time,
                 message.publish_time, bytes(message.data))
+    if unnamed:
+        recovery.remarks.append(
+            f'{file.path.name}: {unnamed} messages were left out, their topic is not known')
     # a topic without messages is worth keeping too
     for channel in file.channels:
         _topic(file, channel, writer, topics)
@@ -124,8 +130,13 @@ def _topic(
     number = topics.get((entry.topic, type_name))
     if number is None:
         text = schema.data.decode('utf-8', 'replace') if schema else ''
+        try:
+            qos = qos_from_text(entry.metadata.get('offered_qos_profiles', ''))
+        except BagError:
+            # the messages are worth more than the QoS
+            qos = []
         number = topics[entry.topic, type_name] = writer.add_topic(
-            entry.topic, type_name, qos_from_text(entry.metadata.get('offered_qos_profiles', '')),
+            entry.topic, type_name, qos,
             schema=Schema(type_name, schema.encoding if schema else '', text,
                           entry.metadata.get('topic_type_hash', '')),
             encoding=entry.message_encoding or ENCODING)
@@ -138,7 +149,10 @@ def _custom_data(files: list[McapFile]) -> dict[str, str]:
         if PROVENANCE_RECORD in file.metadata:
             return file.metadata[PROVENANCE_RECORD]
         text = file.metadata.get(ROSBAG2_RECORD, {}).get('serialized_metadata', '')
-        body = load_yaml(text, 'the rosbag2 record') if text else None
+        try:
+            body = load_yaml(text, 'the rosbag2 record')
+        except BagError:
+            continue
         data = body.get('custom_data') if isinstance(body, dict) else None
         if isinstance(data, dict):
             return {str(key): str(value) for key, value in data.items()}

@@ -1,0 +1,394 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""Bags that are cut off, damaged or hostile: clear errors, bounded memory, nothing made up."""
+import contextlib
+from pathlib import Path
+import shutil
+import tracemalloc
+import zlib
+
+from bag_cases import clock, read_all, small_bag
+from bags.compression import unpack
+from bags.errors import BagError
+from bags.mcap_file import McapFile
+from bags.mcap_records import HEAD, MAGIC, record_bytes
+from bags.metadata import metadata_from_text
+from bags.reader import BagReader
+from bags.recover import recover_bag
+from bags.verify import verify_bag
+from hypothesis import given, HealthCheck, settings, strategies
+import lz4.frame
+from mcap.opcode import Opcode
+from mcap.reader import make_reader
+from mcap.records import Channel, Chunk, DataEnd, Footer, Header, Message, Schema
+from mcap.writer import CompressionType, Writer
+import pytest
+from rosbags.rosbag2 import Reader
+import zstandard
+
+FEW = settings(max_examples=60, deadline=None,
+               suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+
+@pytest.fixture(scope='module')
+def small(tmp_path_factory):
+    """Return a bag of several chunks: its folder, its bytes, and the messages in it."""
+    folder = tmp_path_factory.mktemp('small') / 'bag'
+    written = small_bag(folder, compression='lz4', custom_data={'seed': '7'})
+    return folder, (folder / 'bag_0.mcap').read_bytes(), written
+
+
+def record_boundaries(data: bytes) -> list[int]:
+    """Return where each top-level record begins, and where the last one ends."""
+    position, found = len(MAGIC), []
+    while position < len(data) - len(MAGIC):
+        found.append(position)
+        position += HEAD.size + HEAD.unpack_from(data, position)[1]
+    return [*found, position]
+
+
+def whole_messages(data: bytes, cut: int) -> int:
+    """Return how many messages are in chunks that end before a cut."""
+    count = 0
+    for position in record_boundaries(data):
+        opcode, length = HEAD.unpack_from(data, position) if position < len(data) - 8 else (0, 0)
+        if opcode == Opcode.CHUNK and position + HEAD.size + length <= cut:
+            count += chunk_count(data, position)
+    return count
+
+
+def chunk_count(data: bytes, position: int) -> int:
+    """Return the messages of the chunk record at a position, from its message index."""
+    position += HEAD.size + HEAD.unpack_from(data, position)[1]
+    count = 0
+    while data[position] == Opcode.MESSAGE_INDEX:
+        length = HEAD.unpack_from(data, position)[1]
+        count += (length - 6) // 16
+        position += HEAD.size + length
+    return count
+
+
+def check_cut(data: bytes, written: list, cut: int, folder: Path) -> None:
+    """A file cut off at a byte is refused, and recovered to its last whole chunk."""
+    folder.mkdir(exist_ok=True)
+    source, target = folder / 'cut.mcap', folder / 'out'
+    shutil.rmtree(target, ignore_errors=True)
+    source.write_bytes(data[:cut])
+    with pytest.raises(BagError) as told:
+        BagReader(source)
+    assert '\n' not in str(told.value)
+    header_end = record_boundaries(data)[1]
+    if cut < header_end:
+        with pytest.raises(BagError):
+            recover_bag(source, target)
+        assert not target.exists()
+        return
+    recovery = recover_bag(source, target)
+    expected = written[:whole_messages(data, cut)]
+    assert recovery.messages == len(expected)
+    with BagReader(target) as reader:
+        assert read_all(reader) == expected
+        assert reader.problems == []
+        # the origin of the run survives, once its record is in the file
+        if cut >= record_boundaries(data)[3]:
+            assert reader.custom_data == {'seed': '7'}
+    with Reader(target) as reader:
+        assert sum(1 for _ in reader.messages()) == len(expected)
+
+
+def test_cut_off_at_every_record_boundary(small, tmp_path):
+    _, data, written = small
+    boundaries = record_boundaries(data)
+    assert len(boundaries) > 30
+    for boundary in boundaries:
+        check_cut(data, written, boundary, tmp_path)
+
+
+@FEW
+@given(share=strategies.floats(0, 1, exclude_max=True))
+def test_cut_off_anywhere(small, tmp_path, share):
+    _, data, written = small
+    check_cut(data, written, int(share * len(data)), tmp_path)
+
+
+def test_a_killed_recording_of_several_files_is_recovered(tmp_path):
+    written = small_bag(tmp_path / 'bag', split_bytes=8000)
+    (tmp_path / 'bag' / 'metadata.yaml').unlink()
+    files = sorted((tmp_path / 'bag').glob('*.mcap'))
+    last = files[-1].read_bytes()
+    files[-1].write_bytes(last[:len(last) // 2])
+    with pytest.raises(BagError, match='carracing bag recover'):
+        BagReader(tmp_path / 'bag')
+    before = [path.read_bytes() for path in files]
+    recovery = recover_bag(tmp_path / 'bag', tmp_path / 'out')
+    assert [path.read_bytes() for path in files] == before
+    with BagReader(tmp_path / 'out') as reader:
+        found = read_all(reader)
+        assert len(reader.files) == len(files)
+    assert found == written[:len(found)]
+    assert 0 < recovery.messages == len(found) < len(written)
+    assert recovery.lost_bytes > 0
+    with pytest.raises(BagError, match='exists already'):
+        recover_bag(tmp_path / 'bag', tmp_path / 'out')
+
+
+def test_a_damaged_chunk_costs_only_itself(small, tmp_path):
+    _, data, written = small
+    with McapFile(small[0] / 'bag_0.mcap') as file:
+        span = file.spans[2]
+        before = sum(len(file.span_messages(one)) for one in file.spans[:2])
+        inside = len(file.span_messages(span))
+    broken = bytearray(data)
+    broken[span.offset + span.length // 2] ^= 0x10
+    (tmp_path / 'broken.mcap').write_bytes(broken)
+    recovery = recover_bag(tmp_path / 'broken.mcap', tmp_path / 'out')
+    assert recovery.bad_chunks == 1
+    with BagReader(tmp_path / 'out') as reader:
+        assert read_all(reader) == written[:before] + written[before + inside:]
+
+
+@settings(FEW, max_examples=150)
+@given(share=strategies.floats(0, 1, exclude_max=True), bit=strategies.integers(0, 7))
+def test_verify_finds_one_flipped_bit_anywhere_in_the_file(small, tmp_path, share, bit):
+    folder, data, _ = small
+    broken = bytearray(data)
+    broken[int(share * len(data))] ^= 1 << bit
+    target = tmp_path / 'bag'
+    shutil.copytree(folder, target, dirs_exist_ok=True)
+    (target / 'bag_0.mcap').write_bytes(broken)
+    try:
+        with BagReader(target) as reader:
+            problems = verify_bag(reader).problems
+    except BagError:
+        return
+    assert problems
+
+
+def test_verify_finds_nothing_in_a_good_bag(small):
+    with BagReader(small[0]) as reader:
+        assert verify_bag(reader).problems == []
+
+
+def test_verify_finds_a_changed_metadata_yaml(small, tmp_path):
+    target = tmp_path / 'bag'
+    shutil.copytree(small[0], target)
+    text = (target / 'metadata.yaml').read_text()
+    (target / 'metadata.yaml').write_text(text.replace("seed: '7'", "seed: '8'"))
+    with BagReader(target) as reader:
+        assert verify_bag(reader).problems == [
+            'metadata.yaml differs from its copy in the last file']
+
+
+def test_not_an_mcap_file(tmp_path):
+    for content in (b'', b'hello', MAGIC[:-1] + b'x' * 100, bytes(1000)):
+        path = tmp_path / 'bad.mcap'
+        path.write_bytes(content)
+        with pytest.raises(BagError, match='is not an MCAP file'):
+            BagReader(path)
+    with pytest.raises(BagError, match='does not exist'):
+        BagReader(tmp_path / 'nothing')
+    with pytest.raises(BagError, match='has no metadata.yaml'):
+        BagReader(tmp_path)
+
+
+def test_another_profile_is_refused(tmp_path):
+    path = tmp_path / 'other.mcap'
+    with path.open('wb') as file:
+        writer = Writer(file)
+        writer.start(profile='ros1')
+        writer.finish()
+    with pytest.raises(BagError, match="has profile 'ros1'; accepted: 'ros2'"):
+        BagReader(path)
+
+
+def foreign_bag(path, *, schema_encoding='ros2msg', message_encoding='cdr',
+                type_name='nobody_msgs/msg/Nothing', data=b'\0\1\0\0', **options):
+    with path.open('wb') as file:
+        writer = Writer(file, compression=CompressionType.NONE, **options)
+        writer.start(profile='ros2')
+        schema = writer.register_schema(type_name, schema_encoding, b'int32 x')
+        channel = writer.register_channel('/image_raw', message_encoding, schema)
+        for time in (30, 10, 20):
+            writer.add_message(channel, time, data, time)
+        writer.finish()
+
+
+def test_unknown_types_and_encodings_are_read_as_bytes_but_not_decoded(tmp_path):
+    path = tmp_path / 'foreign.mcap'
+    foreign_bag(path, schema_encoding='protobuf', message_encoding='json')
+    with BagReader(path) as reader:
+        assert [one.log_time for one in reader.messages()] == [10, 20, 30]
+        assert reader.topics['/image_raw'].encoding == 'json'
+        assert verify_bag(reader).good
+    foreign_bag(path, type_name='sensor_msgs/msg/Image', data=b'\0\1\0\0\5')
+    from bags.image_arrays import load_images
+    with BagReader(path) as reader, pytest.raises(BagError, match='is not a sensor_msgs'):
+        load_images(reader)
+
+
+@pytest.mark.parametrize('options', [
+    {'use_chunking': False}, {'use_statistics': False}, {'repeat_channels': False},
+    {'repeat_schemas': False, 'repeat_channels': False, 'use_statistics': False},
+    {'use_summary_offsets': False, 'enable_crcs': False}])
+def test_mcap_files_of_other_writers_are_read(tmp_path, options):
+    path = tmp_path / 'foreign.mcap'
+    foreign_bag(path, **options)
+    with BagReader(path) as reader:
+        assert [one.log_time for one in reader.messages()] == [10, 20, 30]
+        assert reader.message_count == 3
+        assert verify_bag(reader).good
+
+
+def hostile(path: Path, chunk: Chunk) -> None:
+    """Write a complete MCAP file around one chunk."""
+    body = b''.join(map(record_bytes, (Header(profile='ros2', library=''), chunk, DataEnd(0))))
+    path.write_bytes(MAGIC + body + record_bytes(Footer(0, 0, 0)) + MAGIC)
+
+
+def test_a_chunk_that_claims_gigabytes_is_refused_without_making_them(tmp_path):
+    zeros = bytes(50_000_000)
+    bombs = {
+        # (compression, packed bytes, size it claims)
+        'claims too much': ('zstd', zstandard.compress(b'x'), 1 << 40),
+        'zstd holds more than it claims': ('zstd', zstandard.compress(zeros), 100),
+        'lz4 holds more than it claims': ('lz4', lz4.frame.compress(zeros), 100),
+        'lz4 holds less than it claims': ('lz4', lz4.frame.compress(b'abc'), 200 << 20),
+        'plain and too short': ('', b'abc', 1000),
+        'not packed at all': ('lz4', b'abcdefgh', 100),
+        'unknown': ('br', b'abc', 3),
+    }
+    stream = zstandard.ZstdCompressor(write_content_size=False)
+    bombs['zstd does not say'] = ('zstd', stream.compress(zeros), 100)
+    for name, (compression, packed, size) in bombs.items():
+        path = tmp_path / 'bomb.mcap'
+        hostile(path, Chunk(
+            compression=compression, data=packed, message_start_time=0, message_end_time=1,
+            uncompressed_crc=0, uncompressed_size=size))
+        tracemalloc.start()
+        with pytest.raises(BagError):
+            BagReader(path)
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        assert peak < 20_000_000, name
+
+
+def test_records_inside_a_chunk_that_lie_about_their_length(tmp_path):
+    good = record_bytes(Message(channel_id=1, log_time=1, data=b'', publish_time=1, sequence=0))
+    for inside in (good[:-5], HEAD.pack(5, 1 << 60) + bytes(30), HEAD.pack(5, 3) + bytes(3),
+                   b'\5'):
+        path = tmp_path / 'bad.mcap'
+        hostile(path, Chunk(
+            compression='', data=inside, message_start_time=0, message_end_time=1,
+            uncompressed_crc=zlib.crc32(inside), uncompressed_size=len(inside)))
+        with pytest.raises(BagError, match='is damaged'):
+            BagReader(path)
+
+
+def test_messages_of_a_channel_without_a_name(tmp_path):
+    inside = record_bytes(
+        Message(channel_id=9, log_time=1, data=b'', publish_time=1, sequence=0))
+    path = tmp_path / 'bad.mcap'
+    hostile(path, Chunk(
+        compression='', data=inside, message_start_time=1, message_end_time=1,
+        uncompressed_crc=0, uncompressed_size=len(inside)))
+    with pytest.raises(BagError, match='channel 9, which it never names'):
+        BagReader(path)
+
+
+def test_chunks_that_overlap_come_out_in_order_of_time(tmp_path):
+    head = record_bytes(Schema(id=1, data=b'', encoding='', name='t')) + record_bytes(
+        Channel(id=1, topic='/t', message_encoding='cdr', metadata={}, schema_id=1))
+    body = record_bytes(Header(profile='ros2', library='')) + head
+    for times in ((0, 50, 100), (10, 60), (55, 5), (200, 150), (1, 300)):
+        inside = b''.join(record_bytes(Message(
+            channel_id=1, log_time=time, data=clock(time), publish_time=time, sequence=0))
+            for time in times)
+        body += record_bytes(Chunk(
+            compression='', data=inside, message_start_time=min(times),
+            message_end_time=max(times), uncompressed_crc=0, uncompressed_size=len(inside)))
+    path = tmp_path / 'overlap.mcap'
+    path.write_bytes(MAGIC + body + record_bytes(DataEnd(0)) + record_bytes(Footer(0, 0, 0))
+                     + MAGIC)
+    expected = sorted((0, 50, 100, 10, 60, 55, 5, 200, 150, 1, 300))
+    with BagReader(path) as reader:
+        assert [one.log_time for one in reader.messages()] == expected
+        assert [one.log_time for one in reader.messages(start=10, stop=150)] == [
+            time for time in expected if 10 <= time < 150]
+    with path.open('rb') as file:
+        assert [one.log_time for _, _, one in make_reader(file).iter_messages()] == expected
+
+
+def test_metadata_that_lies_about_counts_is_said_and_the_files_count(small, tmp_path):
+    target = tmp_path / 'bag'
+    shutil.copytree(small[0], target)
+    text = (target / 'metadata.yaml').read_text()
+    text = text.replace('message_count: 400', 'message_count: 999').replace('/clock', '/lock')
+    (target / 'metadata.yaml').write_text(text)
+    with BagReader(target) as reader:
+        assert reader.message_count == 400
+        assert sum(1 for _ in reader.messages()) == 400
+        assert reader.problems == [
+            'metadata.yaml says 999 messages, the files hold 400',
+            'metadata.yaml says there is /lock, there is not',
+            'metadata.yaml does not name the topic /clock']
+        assert not verify_bag(reader).good
+
+
+@pytest.mark.parametrize(('old', 'new', 'told'), [
+    ('bag_0.mcap', 'bag_7.mcap', 'names bag_7.mcap, which is not there'),
+    ('bag_0.mcap', '/etc/passwd', 'which is not inside the bag'),
+    ('bag_0.mcap', '../other.mcap', 'which is not inside the bag'),
+    ('version: 9', 'version: 10', 'is of version 10; accepted: 1 to 9'),
+    ('version: 9', 'version: x', "version is 'x'; expected a whole number"),
+    ('storage_identifier: mcap', 'storage_identifier: tape', "storage 'tape'; accepted: mcap"),
+    ('message_count: 400', 'message_count: -3', 'message_count is -3'),
+    ('topics_with_message_count', 'topics', "lacks the key 'topics_with_message_count'"),
+    ("compression_mode: ''", 'compression_mode: FILE', 'compressed as a whole (file mode)'),
+    ('rosbag2_bagfile_information:', 'rosbag2_bagfile_information: 3\nx:', 'not laid out'),
+    ('relative_file_paths:', 'relative_file_paths: {{', 'is not valid YAML'),
+    ('custom_data:', 'a: &a [1]\nb: [*a, *a]\ncustom_data:', 'is not valid YAML'),
+])
+def test_metadata_that_cannot_be_believed(small, tmp_path, old, new, told):
+    target = tmp_path / 'bag'
+    shutil.copytree(small[0], target)
+    text = (target / 'metadata.yaml').read_text()
+    assert old in text
+    (target / 'metadata.yaml').write_text(text.replace(old, new))
+    with pytest.raises(BagError) as error:
+        BagReader(target)
+    assert told in str(error.value)
+    assert '\n' not in str(error.value)
+
+
+def test_metadata_that_is_too_large_too_deep_or_unsafe():
+    for text in ('[' * 100_000, '!!python/object/apply:os.system ["true"]', 'x' * (5 << 20),
+                 'a: ' + '{a: ' * 5000, '\0', '2024-99-99'):
+        with pytest.raises(BagError):
+            metadata_from_text(text, 'test')
+
+
+@settings(FEW, max_examples=100)
+@given(data=strategies.binary(max_size=300), size=strategies.integers(0, 1000),
+       compression=strategies.sampled_from(['', 'lz4', 'zstd', 'other']))
+def test_unpacking_anything_gives_the_size_it_says_or_an_error(data, size, compression):
+    with contextlib.suppress(BagError):
+        assert len(unpack(compression, data, size)) == size
+
+
+@settings(FEW, max_examples=100)
+@given(changes=strategies.lists(
+    strategies.tuples(strategies.integers(0, 20_000), strategies.binary(
+        min_size=1, max_size=9)), min_size=1, max_size=5))
+def test_a_scribbled_file_raises_nothing_but_our_error(small, tmp_path, changes):
+    data = bytearray(small[1])
+    for position, scribble in changes:
+        position %= len(data)
+        data[position:position + len(scribble)] = scribble[:len(data) - position]
+    path = tmp_path / 'scribbled.mcap'
+    path.write_bytes(data)
+    with contextlib.suppress(BagError), BagReader(path) as reader:
+        for _ in reader.messages():
+            pass
+    shutil.rmtree(tmp_path / 'out', ignore_errors=True)
+    with contextlib.suppress(BagError):
+        recover_bag(path, tmp_path / 'out')
