@@ -113,6 +113,7 @@ def learn(
     simulator = Simulator(
         action_repeat=settings.action_repeat, early_end_frames=settings.early_end_frames)
     policy = Policy(training.description, seed=settings.seed)
+    policy.action_repeat = settings.action_repeat
     started = reported = time.monotonic()
     ended = True
     seed: int | None = settings.seed

@@ -1,29 +1,53 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
-"""The last few pictures, oldest first."""
+"""The last few pictures, oldest first, at even distances in time."""
 from __future__ import annotations
+
+from collections import deque
 
 import numpy as np
 
 
 class FrameStack:
-    """Holds `size` pictures of one shape; after a reset the first one fills every place."""
+    """
+    Gives `size` pictures of one shape, `spacing` simulator frames apart.
 
-    def __init__(self, size: int, shape: tuple[int, int]) -> None:
+    Pictures may come more often than that: one who learned to decide every fourth frame can
+    drive by deciding every second, on stacks like those it learned from. After a reset the first
+    picture stands for all before it.
+    """
+
+    def __init__(self, size: int, shape: tuple[int, int], spacing: int = 1) -> None:
         """Make room for `size` pictures of (H, W)."""
-        self._pictures = np.zeros((size, *shape), np.uint8)
-        self._empty = True
+        self._stack = np.zeros((size, *shape), np.uint8)
+        self._spacing = spacing
+        self._kept: deque[tuple[int, np.ndarray]] = deque()
+        self._now = 0
 
     def reset(self) -> None:
         """Forget what was seen: the next picture starts an episode."""
-        self._empty = True
+        self._kept.clear()
 
-    def push(self, picture: np.ndarray) -> np.ndarray:
-        """Add a picture, uint8 (H, W); return the stack, uint8 (size, H, W), valid until next."""
-        if self._empty:
-            self._pictures[:] = picture
-            self._empty = False
-        else:
-            self._pictures[:-1] = self._pictures[1:]
-            self._pictures[-1] = picture
-        return self._pictures
+    def push(self, picture: np.ndarray, elapsed: int | None = None) -> np.ndarray:
+        """
+        Add a picture and return the stack.
+
+        Args:
+            picture: uint8 (H, W), not changed afterwards by the caller.
+            elapsed: simulator frames since the picture before; None for `spacing`.
+
+        Returns:
+            uint8 (size, H, W), valid until the next call.
+        """
+        self._now += self._spacing if elapsed is None else elapsed
+        kept = self._kept
+        kept.append((self._now, picture))
+        size = len(self._stack)
+        while len(kept) > 1 and kept[1][0] <= self._now - (size - 1) * self._spacing:
+            kept.popleft()
+        place = len(kept) - 1
+        for back in range(size):
+            while place > 0 and kept[place][0] > self._now - back * self._spacing:
+                place -= 1
+            self._stack[size - 1 - back] = kept[place][1]
+        return self._stack

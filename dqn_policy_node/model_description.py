@@ -139,7 +139,8 @@ class ModelDescription:
         preprocessing: from frame to picture.
         frame_stack: pictures that the network sees at once, oldest first.
         action_set: what its outputs mean.
-        action_repeat: simulator frames (1/50 s) for which an action is held.
+        action_repeat: simulator frames (1/50 s) for which an action is held when driving.
+        stack_frames: simulator frames between the pictures of a stack; 0 = as `action_repeat`.
     """
 
     network: Network
@@ -147,11 +148,15 @@ class ModelDescription:
     frame_stack: int
     action_set: ActionSet
     action_repeat: int
+    stack_frames: int = 0
 
     def __post_init__(self) -> None:
         """Check what concerns more than one part; raises ModelError."""
         _check_whole('frame_stack', self.frame_stack, 1, 16)
         _check_whole('action_repeat', self.action_repeat, 1, 50)
+        _check_whole('stack_frames', self.stack_frames, 0, 50)
+        if self.stack_frames == 0:
+            object.__setattr__(self, 'stack_frames', self.action_repeat)
         if self.parameters > MAX_PARAMETERS:
             raise ModelError(
                 f'network of {self.parameters} weights; accepted: up to {MAX_PARAMETERS}')
@@ -215,6 +220,7 @@ class ModelDescription:
             'frame_stack': self.frame_stack,
             'action_set': self.action_set.to_json(),
             'action_repeat': self.action_repeat,
+            'stack_frames': self.stack_frames,
         }
 
     @classmethod
@@ -239,6 +245,7 @@ class ModelDescription:
             frame_stack=values['frame_stack'],
             action_set=ActionSet.from_json(values['action_set']),
             action_repeat=values['action_repeat'],
+            stack_frames=values['stack_frames'],
         )
 
     def to_text(self) -> str:

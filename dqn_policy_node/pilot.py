@@ -38,6 +38,7 @@ class Pilot:
         self.scenes = 0
         self._stamp: int | None = None
         self._due = 0
+        self._decided = 0
         self._answer: Answer | None = None
 
     def answer(self, stamp: int, frame: np.ndarray) -> Answer:
@@ -56,9 +57,11 @@ class Pilot:
         if self._stamp is None or not 0 < stamp - self._stamp <= self.scene_gap:
             self.policy.reset()
             self.scenes += 1
-            self._due = stamp
+            self._due = self._decided = stamp
         if stamp >= self._due - JITTER_NANOSECONDS:
-            decision = self.policy.decide(frame)
+            elapsed = round((stamp - self._decided) / FRAME_NANOSECONDS)
+            decision = self.policy.decide(frame, elapsed)
+            self._decided = stamp
             self._due = stamp + self.policy.action_repeat * FRAME_NANOSECONDS
             self._answer = Answer(Action(*decision.action), decision)
         else:

@@ -66,7 +66,7 @@ class _HeldAction:
         self._frames_left -= 1
         return tuple(self._held)
 
-    def decide(self, frame: np.ndarray) -> Decision:
+    def decide(self, frame: np.ndarray, elapsed: int | None = None) -> Decision:
         """Return the decision on a frame."""
         raise NotImplementedError
 
@@ -77,6 +77,7 @@ class Policy(_HeldAction):
 
     Attributes:
         description: what the model is.
+        action_repeat: frames for which `act` holds an action; the model's own at first.
         epsilon: share of random actions, 0 = always the best.
         gas_weight: how much likelier than others a random action is one with gas.
         version: version of the weights.
@@ -97,7 +98,8 @@ class Policy(_HeldAction):
         self._network = QNetwork(description).to(self._device).eval()
         self._network.requires_grad_(False)
         self._preprocess = Preprocessor(description.preprocessing)
-        self._stack = FrameStack(description.frame_stack, description.preprocessing.shape)
+        self._stack = FrameStack(
+            description.frame_stack, description.preprocessing.shape, description.stack_frames)
         self._random = np.random.default_rng(seed)
         self._has_gas = np.array([action.gas > 0 for action in self.action_set.actions])
 
@@ -108,17 +110,20 @@ class Policy(_HeldAction):
         if seed is not None:
             self._random = np.random.default_rng(seed)
 
-    def decide(self, frame: np.ndarray) -> Decision:
+    def decide(self, frame: np.ndarray, elapsed: int | None = None) -> Decision:
         """
         Push a frame on the stack and choose an action.
 
         Args:
             frame: uint8 (96, 96, 3) rgb.
+            elapsed: simulator frames since the last decision; None for `action_repeat`.
 
         Raises:
             MessageError: the frame has another shape or type.
         """
-        q_values = self.q_values(self._stack.push(self._preprocess(frame)))
+        if elapsed is None:
+            elapsed = self.action_repeat
+        q_values = self.q_values(self._stack.push(self._preprocess(frame), elapsed))
         explored = self.epsilon > 0 and self._random.random() < self.epsilon
         index = self._random_index() if explored else int(q_values.argmax())
         return Decision(index, self.action_set.actions[index], q_values, bool(explored))
@@ -173,7 +178,7 @@ class RandomPolicy(_HeldAction):
         if seed is not None:
             self._random = np.random.default_rng(seed)
 
-    def decide(self, frame: np.ndarray) -> Decision:
+    def decide(self, frame: np.ndarray, elapsed: int | None = None) -> Decision:
         """Draw an action whatever the frame shows."""
         index = int(self._random.integers(len(self.action_set)))
         return Decision(index, self.action_set.actions[index], None, True)

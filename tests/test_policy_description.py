@@ -102,6 +102,7 @@ def test_the_report_network_has_the_shapes_of_table_1():
     (('frame_stack',), 10**9, 'frame_stack'),
     (('frame_stack',), True, 'frame_stack is True'),
     (('action_repeat',), 0, 'action_repeat is 0'),
+    (('stack_frames',), 51, 'stack_frames is 51'),
     (('action_set', 'actions'), 3, 'action set'),
     (('action_set', 'actions'), [{'name': 'a', 'steer': 'x', 'gas': 0, 'brake': 0}], 'action set'),
     (('action_set', 'name'), 7, 'names of actions'),

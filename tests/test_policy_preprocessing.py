@@ -80,3 +80,12 @@ def test_the_first_picture_fills_the_stack():
     assert seen == [[5, 5, 5], [5, 5, 6], [5, 6, 7], [6, 7, 8]]
     stack.reset()
     assert stack.push(np.full((1, 1), 9, np.uint8)).ravel().tolist() == [9, 9, 9]
+
+
+def test_pictures_may_come_more_often_than_the_stack_is_spaced():
+    stack = FrameStack(3, (1, 1), spacing=4)
+    pictures = [np.full((1, 1), level, np.uint8) for level in range(8)]
+    seen = [stack.push(picture, 2).ravel().tolist() for picture in pictures]
+    assert seen[:4] == [[0, 0, 0], [0, 0, 1], [0, 0, 2], [0, 1, 3]]
+    assert seen[6:] == [[2, 4, 6], [3, 5, 7]]
+    assert stack.push(pictures[0], 4).ravel().tolist() == [5, 7, 0]

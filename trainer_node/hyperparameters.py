@@ -58,7 +58,11 @@ class Hyperparameters:
         'seed5', 'the discrete actions; the five of the report are seed5 (2.2.2)',
         choices=tuple(ACTION_SETS))
     action_repeat: int = setting(
-        1, 'simulator frames (1/50 s) an action is held; the report names none', low=1, high=50)
+        1, 'simulator frames (1/50 s) an action is held while learning; the report names none',
+        low=1, high=50)
+    drive_repeat: int = setting(
+        0, 'simulator frames an action is held in validation and by the finished model; '
+        '0 = as in training', low=0, high=50)
 
     # What it learns from. ----------------------------------------------------------------------
     seed: int = setting(42, 'seed of training tracks, weights and samples (3.1)',
@@ -216,7 +220,8 @@ class Hyperparameters:
                 self.flat_road, self.shrink),
             frame_stack=self.frame_stack,
             action_set=action_set(self.action_set),
-            action_repeat=self.action_repeat,
+            action_repeat=self.drive_repeat or self.action_repeat,
+            stack_frames=self.action_repeat,
         )
 
 
