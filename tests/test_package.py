@@ -1,0 +1,77 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""The package as ROS tools see it; what needs those tools is skipped where they are missing."""
+import os
+from pathlib import Path
+import shutil
+import subprocess
+import sys
+from xml.etree import ElementTree
+
+from ament_index_python.packages import get_package_share_directory
+from bringup.environment import EXECUTABLES, lay_out
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def test_package_xml_is_format_3_for_ament_python_and_names_what_the_code_imports():
+    root = ElementTree.parse(ROOT / 'package.xml').getroot()
+    assert root.get('format') == '3'
+    assert root.findtext('export/build_type') == 'ament_python'
+    named = {element.text for element in root.iter() if element.tag.endswith('depend')}
+    imported = set()
+    for path in ROOT.glob('*/*.py'):
+        for line in path.read_text().splitlines():
+            words = line.split()
+            if words[:1] == ['from'] and words[1].split('.')[-1] in ('msg', 'srv'):
+                imported.add(words[1].split('.')[0])
+    assert {'sensor_msgs', 'std_srvs'} <= imported
+    assert imported <= named
+
+
+def test_the_layout_lets_ament_find_the_package(tmp_path, monkeypatch):
+    lay_out(tmp_path, ROOT)
+    lay_out(tmp_path, ROOT)  # a second time changes nothing
+    monkeypatch.setenv('AMENT_PREFIX_PATH', str(tmp_path))
+    share = Path(get_package_share_directory('carracing_dqn'))
+    assert (share / 'package.xml').is_file() and (share / 'config' / 'report.yaml').is_file()
+    assert sorted(path.name for path in (share / 'launch').iterdir()) == [
+        'race.launch.py', 'replay.launch.py', 'train.launch.py']
+    assert not (share / 'launch').is_symlink()
+
+
+def test_the_setup_file_keeps_discovery_on_this_host_unless_told_otherwise(tmp_path):
+    lay_out(tmp_path, ROOT)
+    (tmp_path / 'bin').mkdir()
+    (tmp_path / 'bin' / 'activate').write_text('')
+    script = f'. {tmp_path}/setup.bash; echo $AMENT_PREFIX_PATH $ROS_AUTOMATIC_DISCOVERY_RANGE'
+
+    def source(**environment):
+        return subprocess.run(
+            ['bash', '-c', script], env={'PATH': os.environ['PATH'], **environment},
+            capture_output=True, text=True, check=True).stdout.split()
+
+    assert source() == [str(tmp_path), 'LOCALHOST']
+    assert source(ROS_AUTOMATIC_DISCOVERY_RANGE='SUBNET', AMENT_PREFIX_PATH='/opt/ros') == [
+        f'{tmp_path}:/opt/ros', 'SUBNET']
+
+
+def test_every_executable_is_an_entry_point():
+    text = (ROOT / 'setup.py').read_text()
+    assert all(f"'{name} = " in text for name in EXECUTABLES)
+
+
+@pytest.mark.skipif(shutil.which('colcon') is None, reason='colcon is not installed')
+def test_colcon_builds_it_as_an_ament_python_package(tmp_path):
+    (tmp_path / 'src').mkdir()
+    shutil.copytree(ROOT, tmp_path / 'src' / 'carracing_dqn', ignore=shutil.ignore_patterns(
+        '.venv', '.git', 'runs', 'build', 'install', 'log', '*.egg-info'))
+    environment = {**os.environ, 'AMENT_PREFIX_PATH': sys.prefix}
+    options = {'cwd': tmp_path, 'env': environment, 'capture_output': True, 'text': True}
+    listed = subprocess.run(['colcon', 'list'], check=True, **options).stdout
+    assert 'ros.ament_python' in listed
+    subprocess.run(['colcon', 'build'], check=True, **options)
+    built = tmp_path / 'install' / 'carracing_dqn'
+    assert {path.name for path in (built / 'lib' / 'carracing_dqn').iterdir()} >= set(EXECUTABLES)
+    assert (built / 'share' / 'carracing_dqn' / 'launch' / 'race.launch.py').is_file()
