@@ -65,7 +65,7 @@ def build(name: str, *, domain_randomize: bool, settled_zoom: bool) -> tuple[Sim
             stacklevel=4,
         )
     if name == 'stock' or obstacle:
-        sim = Simulation(domain_randomize=domain_randomize, own_step=False)
+        sim = Simulation(domain_randomize=domain_randomize, own_code=False)
         return sim, StockRenderer(sim, settled_zoom=settled_zoom)
     from carracing_sim_node.fast_renderer import FastRenderer
 

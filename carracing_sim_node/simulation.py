@@ -32,20 +32,29 @@ class Simulation(CarRacing):
     Tracks, physics, reward and ends of gymnasium's environment, one frame at a time.
 
     `advance` is gymnasium's `step` without its drawing, with the controls as three numbers.
-    Tracks, bodies and colours are created by gymnasium's own code, and Box2D moves them.
+    Box2D moves what gymnasium's constructors have created; what gymnasium does in Python around
+    that is done by this package's code, which is equal and faster, or by gymnasium's.
     """
 
-    def __init__(self, *, domain_randomize: bool = False, own_step: bool = True) -> None:
+    def __init__(self, *, domain_randomize: bool = False, own_code: bool = True) -> None:
         """
         Create an empty world.
 
         Args:
             domain_randomize: Gymnasium's argument: other colours with every reset.
-            own_step: Apply the wheel forces, the contacts and the reward with this package's
-                code, which is equal and faster, instead of gymnasium's.
+            own_code: Lay tracks, and apply wheel forces, contacts and rewards, with this
+                package's code (which needs Numba) instead of gymnasium's.
         """
         super().__init__(domain_randomize=domain_randomize, continuous=True)
-        self._own_step = own_step
+        self._own_code = own_code
+        self._lay_track: Callable[[np.random.Generator], Any] | None = None
+        if own_code:
+            # Imported here because they need Numba, which an installation may lack.
+            from carracing_sim_node.tiles import create_tiles
+            from carracing_sim_node.track_layout import lay_track
+
+            self._lay_track = lay_track
+            self._create_tiles = create_tiles
         self.on_new_track: Callable[[], None] | None = None
         self.on_tile_faded: Callable[[int], None] | None = None
         self.contacts: TileContacts | None = None
@@ -63,7 +72,7 @@ class Simulation(CarRacing):
 
     def step(self, action: None) -> tuple[None, float, bool, bool, dict]:
         """Simulate the one frame without controls that gymnasium's `reset` asks for."""
-        if self._own_step:
+        if self._own_code:
             self._simulate()
         else:
             super().step(action)
@@ -84,7 +93,7 @@ class Simulation(CarRacing):
             left the playfield in it. Either of the two ends the episode.
         """
         self.frames += 1
-        if not self._own_step:
+        if not self._own_code:
             return self._advance_by_gymnasium(steer, gas, brake)
         press_pedals(self.car, -steer, gas, brake)
         self._simulate()
@@ -114,6 +123,10 @@ class Simulation(CarRacing):
         try:
             if self.domain_randomize:
                 self._reinit_colors(randomize)
+            if self._own_code:
+                while self._lay_track(self.np_random) is None:
+                    pass
+                return
             while True:
                 self.road_poly = []
                 if CarRacing._create_track(self):
@@ -177,10 +190,15 @@ class Simulation(CarRacing):
         return reward, lap_finished, terminated and not info['lap_finished']
 
     def _create_track(self) -> bool:
-        """Create a track with gymnasium's code and watch it with our own contact listener."""
-        if not super()._create_track():
+        """Create a track and watch it with our own contact listener; False asks to try again."""
+        if self._own_code:
+            layout = self._lay_track(self.np_random)
+            if layout is None:
+                return False
+            self._create_tiles(self, layout)
+        elif not super()._create_track():
             return False
-        contacts = TileContacts if self._own_step else WatchedContacts
+        contacts = TileContacts if self._own_code else WatchedContacts
         self.contacts = contacts(self, self.lap_complete_percent)
         self.world.contactListener_bug_workaround = self.contacts
         self.world.contactListener = self.contacts

@@ -14,9 +14,11 @@ from carracing_sim_node import EpisodeError
 from carracing_sim_node import InvalidActionError
 from carracing_sim_node import InvalidVariantError
 from carracing_sim_node import SimulatorError
+from carracing_sim_node import guard
 from carracing_sim_node import make_env
 from carracing_sim_node.progress import PASSED_BEHIND
 from carracing_sim_node.progress import TileProgress
+from carracing_sim_node.track_layout import lay_track
 
 STILL = np.zeros(3, np.float32)
 GAS = np.array([0.0, 0.8, 0.0], np.float32)
@@ -179,6 +181,24 @@ def test_skipped_episodes_leave_the_generator_where_resets_would(randomize):
         assert skipping.simulation.track == resetting.simulation.track
         skipping.skip_episodes(1)
         resetting.reset()
+
+
+def test_tracks_equal_gymnasiums_to_the_last_bit():
+    assert guard.compare_tracks(120) == ''
+
+
+def test_a_track_whose_ends_do_not_meet_uses_the_same_random_numbers():
+    stock = undrawn(CarRacing())
+    ours = make_env().simulation
+    failed = 0
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        failed += lay_track(rng) is None
+        stock.reset(seed=seed)
+        ours.reset(seed=seed)
+        assert stock.np_random.bit_generator.state == ours.np_random.bit_generator.state
+        assert stock.start_alpha == ours.start_alpha
+    assert failed, 'every track closed at the first try, so no second one was tried'
 
 
 def test_skipping_ends_the_episode(env):
