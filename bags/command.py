@@ -16,6 +16,8 @@ from bags.settings import PlayerSettings, RecorderSettings
 from msgs_bridge.errors import BridgeError
 from msgs_bridge.settings import describe, parse_text
 
+FILE_WIDTH = 140
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the subcommands of `carracing bag` to its parser."""
@@ -85,7 +87,8 @@ def _info(arguments: argparse.Namespace) -> int:
     if arguments.json:
         sys.stdout.write(json.dumps(info, indent=2) + '\n')
     else:
-        show_info(info, Console())
+        # a file or a pipe has no width; wide enough that nothing is folded
+        show_info(info, Console(width=None if sys.stdout.isatty() else FILE_WIDTH))
     return 0
 
 

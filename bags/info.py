@@ -92,16 +92,16 @@ def _head(info: dict[str, Any]) -> Table:
 
 
 def _topics(info: dict[str, Any]) -> Table:
-    table = Table('topic', 'type', box=None, pad_edge=False, title_justify='left')
+    table = Table(box=None, pad_edge=False)
+    table.add_column('topic', overflow='fold')
+    table.add_column('type', overflow='fold')
     table.add_column('messages', justify='right')
     table.add_column('rate / s', justify='right')
-    table.add_column('publishers', justify='right')
-    table.add_column('reliability')
-    table.add_column('durability')
+    table.add_column('publishers', overflow='fold')
     for topic in info['topics']:
         table.add_row(
             topic['name'], topic['type'], f'{topic["messages"]:,}', f'{topic["rate"]:.1f}',
-            str(topic['publishers']), topic['reliability'], topic['durability'])
+            f'{topic["publishers"]} {topic["reliability"]} {topic["durability"]}')
     return table
 
 

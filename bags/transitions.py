@@ -53,7 +53,9 @@ def _transitions(
     images = need_topic(reader, IMAGE, namespace=namespace)
     steps = need_topic(reader, STEP, namespace=namespace)
     twists = find_topic(reader, CMD_VEL, namespace=namespace)
-    if twists is not None and reader.topics[twists].type_name == TWIST:
+    if twists is not None and (reader.topics[twists].type_name == TWIST
+                               or reader.topics[twists].message_count == 0):
+        # without stamps nothing says which frame a twist answered
         twists = None
     joiner = TransitionJoiner()
     decoder = BundleDecoder()

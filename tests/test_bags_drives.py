@@ -1,0 +1,301 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""Drives out of bags: joined, driven again, summed up, exported."""
+import argparse
+from collections import Counter
+import csv
+import dataclasses
+import json
+
+import av
+from bag_cases import bundle, DriveRecorder, image, record_drive, scripted, twist
+from bags.command import add_arguments, main
+from bags.decode import BundleDecoder, ImageDecoder
+from bags.episodes import find_episodes
+from bags.errors import BagError
+from bags.export import export_csv, export_video
+from bags.info import bag_info
+from bags.reader import BagReader
+from bags.transitions import bag_transitions
+from bags.verify import verify_bag
+from bags.writer import BagWriter
+from carracing_sim_node import make_env
+from msgs_bridge.topics import CMD_VEL, IMAGE, STEP
+from msgs_bridge.twists import Action
+import numpy as np
+import pytest
+
+
+@pytest.fixture(scope='module')
+def drive(tmp_path_factory):
+    """Return a bag of two whole episodes of 40 decisions."""
+    return record_drive(tmp_path_factory.mktemp('drive') / 'bag')
+
+
+def verified(folder, **options):
+    with BagReader(folder) as reader:
+        return verify_bag(reader, **options)
+
+
+def command(*words):
+    parser = argparse.ArgumentParser()
+    add_arguments(parser)
+    return main(parser.parse_args([str(word) for word in words]))
+
+
+def test_a_bag_joins_into_the_transitions_that_happened(drive):
+    counts = Counter()
+    transitions = list(bag_transitions([drive, drive], counts=counts))
+    assert len(transitions) == 160
+    assert {name: count for name, count in counts.items() if count} == {'joined': 160}
+    env = make_env(max_episode_steps=40)
+    frame, _ = env.reset(seed=5)
+    for number, transition in enumerate(transitions[:40]):
+        assert np.array_equal(transition.frame, frame)
+        assert transition.action == scripted(number)
+        frame, reward, _, truncated, _ = env.step(transition.action)
+        assert np.array_equal(transition.next_frame, frame)
+        assert transition.facts['reward'] == reward
+        assert transition.truncated == truncated
+    assert truncated
+
+
+@pytest.mark.parametrize('twist_type', [CMD_VEL.type_name, 'geometry_msgs/msg/Twist'])
+def test_without_stamped_twists_the_action_is_what_step_says(tmp_path, drive, twist_type):
+    with BagReader(drive) as reader, BagWriter(tmp_path / 'bag') as writer:
+        names = ['/image_raw', '/step', '/cmd_vel']
+        numbers = {name: writer.add_topic(name, reader.topics[name].type_name)
+                   for name in names[:2]}
+        plain = writer.add_topic('/cmd_vel', twist_type)
+        for message in reader.messages(names):
+            if message.topic in numbers:
+                writer.write(numbers[message.topic], *message[1:3], bytes(message.data))
+            elif twist_type != CMD_VEL.type_name:
+                # the encapsulation and, behind the header, the twist itself
+                data = bytes(message.data)
+                writer.write(plain, *message[1:3], data[:4] + data[-48:])
+    found = list(bag_transitions([tmp_path / 'bag']))
+    expected = list(bag_transitions([drive]))
+    assert [one.action for one in found] == [one.action for one in expected]
+    assert [one.stamp for one in found] == [one.stamp for one in expected]
+
+
+def test_a_damaged_message_drops_one_transition_and_no_other(tmp_path):
+    recorder = DriveRecorder(tmp_path / 'bag')
+    facts = {'reward': 1.0, 'terminated': 0, 'truncated': 0, 'episode': 0, 'applied_nanosec': 0}
+    pixels = np.zeros((96, 96, 3), np.uint8)
+    for number in range(6):
+        stamp = (number + 1) * 10 ** 9
+        recorder.put(STEP, bundle(stamp, {**facts, 'decision': number, 'applied_sec': number}))
+        recorder.put(IMAGE, image(stamp, pixels))
+        if number == 3:
+            recorder.put(CMD_VEL, twist(stamp, Action(float('nan'), 0.0, 0.0)))
+        else:
+            recorder.put(CMD_VEL, twist(stamp, Action(0.1 * number, 0.0, 0.0)))
+    recorder.writer.close()
+    counts = Counter()
+    found = list(bag_transitions([tmp_path / 'bag'], counts=counts))
+    assert [round(one.facts['decision']) for one in found] == [1, 2, 3, 5]
+    assert counts['rejected'] == counts['lost_twist'] == 1
+
+
+def test_topics_in_a_namespace_are_found_and_two_namespaces_need_a_choice(tmp_path):
+    bag = record_drive(tmp_path / 'bag', namespace='/red', episodes=1, decisions=5)
+    assert len(list(bag_transitions([bag]))) == 5
+    assert verified(bag).resimulation.differing_frames == 0
+    with pytest.raises(BagError, match='has no image_raw'):
+        list(bag_transitions([bag], namespace='blue'))
+    recorder = DriveRecorder(tmp_path / 'two', namespace='/red')
+    recorder.writer.add_topic('/blue/image_raw', IMAGE.type_name)
+    recorder.writer.close()
+    with pytest.raises(BagError, match='more than once.*choose with --namespace'):
+        list(bag_transitions([tmp_path / 'two']))
+    assert list(bag_transitions([tmp_path / 'two'], namespace='red')) == []
+
+
+def test_a_recording_of_what_happened_has_no_differing_frame(drive):
+    found = verified(drive)
+    assert found.good
+    assert found.transitions == {'joined': 80}
+    driven = found.resimulation
+    assert (driven.episodes, driven.frames, driven.differing_frames) == (2, 82, 0)
+
+
+@pytest.mark.parametrize('settings', [
+    {'action_repeat': 4, 'max_episode_frames': 90},
+    {'seed_each_episode': False},
+    {'seed_each_episode': False, 'first_episode': 2},
+    {'zoom': False, 'domain_randomize': True},
+    {'early_end_frames': 15, 'max_episode_frames': 1000},
+])
+def test_variants_are_driven_again_exactly(tmp_path, settings):
+    found = verified(record_drive(tmp_path / 'bag', episodes=3, settings=settings))
+    assert found.good, found.problems
+    assert found.resimulation.episodes == 3
+
+
+def test_an_episode_that_began_before_the_recording_is_passed_over(tmp_path):
+    bag = record_drive(tmp_path / 'bag', episodes=3, skip_first=10,
+                       settings={'seed_each_episode': False})
+    found = verified(bag)
+    assert found.good
+    assert found.resimulation.episodes == 2
+    assert found.notes == ['1 episodes not driven again: begun before the recording']
+
+
+def falsified(tmp_path, decision, **changes):
+    """Record a drive in which the second episode's frame of a decision is not what happened."""
+    def change(frame):
+        if frame.facts['episode'] == 1 and frame.facts['decision'] == decision:
+            pixels = frame.pixels.copy()
+            pixels[40, 50, 1] ^= changes.get('pixel', 0)
+            facts = {**frame.facts, **{name: value for name, value in changes.items()
+                                       if name != 'pixel'}}
+            return dataclasses.replace(frame, pixels=pixels, facts=facts)
+        return frame
+    return verified(record_drive(tmp_path / 'bag', change=change))
+
+
+def test_verify_finds_a_single_bit_of_a_single_pixel(tmp_path):
+    found = falsified(tmp_path, 17, pixel=1)
+    driven = found.resimulation
+    assert (driven.differing_frames, driven.differing_images) == (1, 1)
+    assert found.problems == [
+        'episode 1, decision 17, step message 58, simulation time 3.14 s: image']
+
+
+@pytest.mark.parametrize(('changes', 'told'), [
+    ({'reward': -0.1000001}, 'reward -0.1000001 instead of'),
+    ({'truncated': 1}, 'truncated'),
+    ({'lap_finished': 1}, 'lap_finished'),
+    ({'tiles_visited': 99}, 'tiles_visited'),
+])
+def test_verify_finds_a_wrong_number(tmp_path, changes, told):
+    found = falsified(tmp_path, 30, **changes)
+    assert found.resimulation.differing_frames == 1
+    assert len(found.problems) == 1
+    assert told in found.problems[0]
+    assert 'decision 30' in found.problems[0]
+
+
+def test_verify_finds_a_wrong_action_and_says_where_they_part(tmp_path):
+    found = falsified(tmp_path, 20, steer=-0.9)
+    assert found.resimulation.differing_frames == 20 + 1
+    assert 'decision 20' in found.problems[0]
+    assert found.problems[1] == '20 more frames differ'
+
+
+def test_verify_finds_a_wrong_seed(tmp_path):
+    found = falsified(tmp_path, 0, seed=99)
+    assert found.resimulation.differing_frames > 30
+    assert 'decision 0' in found.problems[0]
+
+
+def test_episodes_are_summed_up(tmp_path, drive):
+    with BagReader(drive) as reader:
+        first, second = find_episodes(reader)
+    assert (first.number, first.seed, first.decisions, first.whole) == (0, 5, 40, True)
+    assert (second.number, second.seed, second.truncated) == (1, 6, True)
+    env = make_env(max_episode_steps=40)
+    env.reset(seed=5)
+    total = 0.0
+    for number in range(40):
+        total += env.step(scripted(number))[1]
+    assert first.episode_return == total
+    bag = record_drive(tmp_path / 'bag', skip_first=10)
+    with BagReader(bag) as reader:
+        assert [one.whole for one in find_episodes(reader)] == [False, True]
+
+
+def test_info_is_json_and_a_table(drive, capsys):
+    with BagReader(drive) as reader:
+        info = bag_info(reader)
+    assert info['messages'] == sum(topic['messages'] for topic in info['topics'])
+    assert command('info', drive, '--json') == 0
+    assert json.loads(capsys.readouterr().out) == info
+    assert command('info', drive) == 0
+    shown = capsys.readouterr().out
+    for word in ('/image_raw', 'sensor_msgs/msg/Image', 'mcap', '2 whole',
+                 'mean return', 'transient_local'):
+        assert word in shown
+
+
+def test_csv_has_a_row_per_frame_with_every_bit(tmp_path, drive):
+    path = tmp_path / 'steps.csv'
+    with BagReader(drive) as reader:
+        assert export_csv(reader, path) == 82
+        with pytest.raises(BagError, match='exists already'):
+            export_csv(reader, path)
+        with pytest.raises(BagError, match='has no episode 9'):
+            export_csv(reader, tmp_path / 'none.csv', episode=9)
+        assert not (tmp_path / 'none.csv').exists()
+    rows = list(csv.DictReader(path.open()))
+    transitions = list(bag_transitions([drive]))
+    assert [float(row['reward']) for row in rows[1:41]] == [
+        one.facts['reward'] for one in transitions[:40]]
+    assert rows[0]['q_right'] == '1.5'
+    # the last frame of an episode leads to no decision
+    assert rows[40]['q_right'] == ''
+    assert rows[41]['decision'] == '0'
+
+
+def test_video_shows_every_frame_for_as_long_as_it_lasted(tmp_path, drive):
+    path = tmp_path / 'lap.mp4'
+    with BagReader(drive) as reader:
+        assert export_video(reader, path, episode=1, speed=2.0) == 41
+        with pytest.raises(BagError, match='exists already'):
+            export_video(reader, path)
+        with pytest.raises(BagError, match='scale is 0; accepted: 1 to 20'):
+            export_video(reader, tmp_path / 'x.mp4', scale=0)
+    with av.open(str(path)) as container:
+        stream = container.streams.video[0]
+        frames = list(container.decode(stream))
+        assert (stream.width, stream.height, len(frames)) == (704, 384, 41)
+        assert frames[40].time - frames[0].time == pytest.approx(40 * 0.01, abs=1e-3)
+        shown = frames[20].to_ndarray(format='rgb24')[:384:4, :384:4].astype(int)
+    recorded = list(bag_transitions([drive]))[40 + 20].frame.astype(int)
+    assert np.abs(shown - recorded).mean() < 12
+
+
+def test_commands_answer_with_one_line_and_a_code(tmp_path, drive, capsys):
+    assert command('verify', drive) == 0
+    assert '2 episodes, 82 frames, 0 differ' in capsys.readouterr().out
+    assert command('verify', drive, '--json') == 0
+    assert json.loads(capsys.readouterr().out)['resimulation']['frames'] == 82
+    data = (drive / 'bag_0.mcap').read_bytes()
+    (tmp_path / 'cut.mcap').write_bytes(data[:-100])
+    assert command('verify', tmp_path / 'cut.mcap') == 2
+    assert command('recover', tmp_path / 'cut.mcap', tmp_path / 'out') == 0
+    told = capsys.readouterr()
+    assert told.err.startswith('error: ') and told.err.count('\n') == 1
+    assert 'chunks saved to' in told.out
+    assert command('verify', tmp_path / 'out') == 0
+    for words in (['info', tmp_path / 'nothing'], ['export', drive],
+                  ['recover', drive, tmp_path / 'out'],
+                  ['export', drive, '--csv', tmp_path / 'no' / 'such.csv'],
+                  ['record', tmp_path / 'new', '--compression', 'gzip'],
+                  ['record', tmp_path / 'new', '--chunk-bytes', 'many'],
+                  ['play', drive, '--rate', '-1']):
+        capsys.readouterr()
+        assert command(*words) == 2
+        told = capsys.readouterr()
+        assert told.err.startswith('error: ') and told.err.count('\n') == 1, words
+    assert not (tmp_path / 'new').exists()
+
+
+def test_quick_decoding_gives_what_full_decoding_gives(drive):
+    with BagReader(drive) as reader:
+        bundles, images = BundleDecoder(), ImageDecoder()
+        for message in reader.messages(['/step', '/q_values', '/image_raw']):
+            if message.topic == '/image_raw':
+                stamp, pixels = images.decode(message.data, 'x')
+                other, again = ImageDecoder().decode(message.data, 'x')
+                assert stamp == other
+                assert np.array_equal(pixels, again)
+            else:
+                assert bundles.decode(message.data, 'x') == BundleDecoder().decode(
+                    message.data, 'x')
+    for decoder in (BundleDecoder(), ImageDecoder()):
+        for junk in (b'', b'\0\1', b'\0\1\0\0' + bytes(7), b'\xff' * 64):
+            with pytest.raises(BagError):
+                decoder.decode(junk, 'x')
