@@ -97,9 +97,10 @@ def main(arguments: argparse.Namespace, *, run_graph: RunGraph | None = None) ->
         if path is not None and results.laps:
             console.print(f'wrote {path}', highlight=False, soft_wrap=True)
     if interrupted:
-        kept = 'kept' if arguments.json is not None else 'shown above'
-        sys.stderr.write(f'stopped after {len(results.laps)} of {len(seeds)} laps, which are '
-                         f'{kept}\n')
+        kept = ''
+        if results.laps:
+            kept = f'; they are in {arguments.json}' if arguments.json else '; shown above'
+        sys.stderr.write(f'stopped after {len(results.laps)} of {len(seeds)} laps{kept}\n')
         return INTERRUPTED
     return 0
 

@@ -1,0 +1,61 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""The same laps over topics."""
+from bringup.graph_laps import run_graph
+from evaluation.errors import EvaluationError
+from evaluation.laps import drive_laps
+from evaluation.policies import PolicySource
+from evaluation.through_graph import consecutive, drive_laps_through_graph
+from msgs_bridge.errors import BridgeError
+from msgs_bridge.step_fields import EPISODE_FIELDS
+import pytest
+
+MODEL = PolicySource('model', 'some_model')
+
+
+def summary(seed):
+    return {**dict.fromkeys(EPISODE_FIELDS, 0.0), 'seed': float(seed), 'frames': 1000.0,
+            'episode_return': 900.1 + 1e-9, 'tiles_total': 300.0, 'lap_finished': 1.0}
+
+
+def test_seeds_are_driven_in_stretches():
+    assert consecutive([1, 2, 3, 7, 9, 10]) == [range(1, 4), range(7, 8), range(9, 11)]
+    assert consecutive([]) == []
+    asked = []
+
+    def drive(model, seeds, bag):
+        asked.append((model, seeds, bag))
+        yield from map(summary, seeds)
+
+    laps = list(drive_laps_through_graph(MODEL, [5, 6, 8], drive))
+    assert asked == [('some_model', range(5, 7), None), ('some_model', range(8, 9), None)]
+    assert [lap.seed for lap in laps] == [5, 6, 8]
+    assert laps[0].episode_return == 900.1 and laps[0].lap_finished is True
+    asked.clear()
+    list(drive_laps_through_graph(PolicySource('random'), [5, 6], drive))
+    assert asked == [('random', range(5, 6), None), ('random', range(6, 7), None)]
+
+
+@pytest.mark.parametrize(('driven', 'message'), [
+    ([4], 'drove track 4; expected 5'), ([5], 'before it had driven track 6'),
+    ([5, 6, 7], 'drove track 7; expected None')])
+def test_laps_that_were_not_asked_for_are_noticed(driven, message):
+    with pytest.raises(EvaluationError, match=message):
+        list(drive_laps_through_graph(MODEL, [5, 6], lambda *_: map(summary, driven)))
+
+
+def test_what_the_graph_cannot_do_is_said(tmp_path):
+    with pytest.raises(EvaluationError, match='no node'):
+        list(drive_laps_through_graph(PolicySource('a:b'), [1], None))
+    with pytest.raises(EvaluationError, match='2'):
+        list(drive_laps_through_graph(MODEL, [1, 3], None, bag=tmp_path / 'bag'))
+    with pytest.raises(BridgeError, match='exists already'):
+        list(run_graph('random', range(1), tmp_path))
+
+
+def test_laps_over_topics_are_those_in_process(tmp_path):
+    source = PolicySource('random')
+    bag = tmp_path / 'bag'
+    over_topics = list(drive_laps_through_graph(source, [11], run_graph, bag=bag))
+    assert over_topics == list(drive_laps(source, [11], simulator='fast'))
+    assert (bag / 'metadata.yaml').is_file()

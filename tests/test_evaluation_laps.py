@@ -1,0 +1,146 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""Real laps: both simulators, any number of processes, any policy."""
+import sys
+
+from carracing_sim_node import make_env
+from evaluation.errors import EvaluationError, PolicyError
+from evaluation.laps import drive_lap, drive_laps
+from evaluation.policies import parse_policy, PolicySource
+from evaluation.simulators import make_simulator
+from evaluation.validator import validate
+from evaluation.workers import run_jobs
+from evaluation_cases import ByPixels, lap, Steady
+import gymnasium
+from msgs_bridge.step_fields import VALIDATION_FIELDS
+import numpy as np
+import pytest
+
+FRAMES = 60
+
+
+def stock(frames=FRAMES):
+    return gymnasium.make('CarRacing-v3', max_episode_steps=frames)
+
+
+@pytest.mark.parametrize(('action_repeat', 'seed'), [(1, 420), (4, 420), (4, 100_001)])
+def test_gymnasium_and_the_fast_simulator_give_the_same_laps(action_repeat, seed):
+    policy = ByPixels(action_repeat)
+    theirs = drive_lap(stock(), policy, seed)
+    ours = drive_lap(make_env(max_episode_steps=FRAMES), policy, seed)
+    assert theirs == ours
+    assert ours.frames == FRAMES and ours.seed == seed
+
+
+def test_a_lap_counts_what_gymnasium_counts():
+    env = stock(60)
+    env.reset(seed=7)
+    total = 0.0
+    for _ in range(60):
+        total += env.step(np.array((0.1, 0.3, 0.0)))[1]
+    world = env.unwrapped
+    driven = drive_lap(stock(60), Steady(), 7)
+    assert driven == lap(
+        7, round(total, 6), frames=60, tiles_visited=world.tile_visited_count,
+        tiles_total=len(world.track))
+
+
+def test_the_car_that_leaves_the_field_has_left_it():
+    policy = Steady((0.0, 1.0, 0.0))
+    policy.looks_at_frames = False
+    driven = drive_lap(make_env(), policy, 6)
+    assert driven.left_field and not driven.lap_finished
+    # -0.1 a frame and 1000/N a tile, but -100 alone for the frame that leaves
+    earned = driven.tiles_visited * 1000 / driven.tiles_total - 0.1 * (driven.frames - 1) - 100
+    assert driven.episode_return == pytest.approx(earned, abs=1e-5)
+
+
+def test_standing_still_is_counted_to_the_end():
+    driven = drive_lap(make_env(max_episode_steps=200), Steady((0.0, 0.0, 1.0)), 1)
+    assert driven.standing_still >= 190
+
+
+def test_only_frames_that_are_looked_at_are_drawn(monkeypatch):
+    env = make_env(max_episode_steps=20)
+    drawn = []
+    draw = env.unwrapped._renderer.draw
+    monkeypatch.setattr(env.unwrapped._renderer, 'draw', lambda: drawn.append(1) or draw())
+    policy = Steady(action_repeat=4)
+    drive_lap(env, policy, 3)
+    # the reset frame and those after 4, 8, 12, 16 and 20
+    assert len(drawn) == 6
+    assert len(policy.seen) == 20 and all(frame is not None for frame in policy.seen)
+    policy.looks_at_frames = False
+    drawn.clear()
+    drive_lap(env, policy, 3)
+    assert len(drawn) == 1
+
+
+@pytest.mark.parametrize('answer', [
+    (float('nan'), 0, 0), (0, 2, 0), (0, 0, -0.1), (1, 2), None, 'left', (0, 0, 0, 0)])
+def test_an_answer_that_is_no_action_is_refused(answer):
+    with pytest.raises(PolicyError, match='the policy answered'):
+        drive_lap(make_env(max_episode_steps=5), Steady(answer), 1)
+
+
+def test_processes_do_not_change_the_laps():
+    source = PolicySource('random')
+    alone = list(drive_laps(source, range(3), simulator='fast'))
+    together = list(drive_laps(source, range(3), simulator='fast', processes=2))
+    assert sorted(together, key=lambda one: one.seed) == alone
+    assert [one.seed for one in alone] == [0, 1, 2]
+    assert list(drive_laps(source, [2], simulator='fast')) == alone[2:]
+
+
+def test_an_unknown_simulator_is_refused():
+    with pytest.raises(EvaluationError, match='accepted: gymnasium, fast'):
+        make_simulator('slow')
+
+
+def test_any_policy_that_acts_can_drive():
+    for text in ('coast', 'make_steady', 'Steady'):
+        policy = parse_policy(f'evaluation_cases:{text}', '').open()
+        assert drive_lap(make_env(max_episode_steps=3), policy, 1).frames == 3
+
+
+@pytest.mark.parametrize(('text', 'message'), [
+    ('modle', 'accepted:'), (':act', 'accepted:'), ('no_such_module:act', 'cannot import'),
+    ('evaluation_cases:nobody', "has no 'nobody'"), ('evaluation_cases:NO_POLICY', 'cannot be'),
+    ('evaluation_cases:write_run.nothing', 'has no')])
+def test_a_policy_that_is_none_is_refused(text, message):
+    with pytest.raises(PolicyError, match=message):
+        parse_policy(text, '').open()
+
+
+def _die():
+    def work(job):
+        sys.exit(3) if job == 'exit' else None
+        raise RuntimeError(f'cannot do {job}')
+    return work
+
+
+def test_a_worker_that_dies_or_fails_ends_the_work():
+    with pytest.raises(EvaluationError, match='exit code 3'):
+        list(run_jobs(_die, ['exit'], 1))
+    with pytest.raises(EvaluationError, match='cannot do this'):
+        list(run_jobs(_die, ['this', 'that'], 1))
+
+
+def test_validation_gives_the_fields_of_the_contract():
+    seen = []
+    values = validate(PolicySource('random').open(), range(420, 423), version=7,
+                      on_lap=seen.append)
+    assert list(values) == list(VALIDATION_FIELDS)
+    returns = [one.episode_return for one in seen]
+    assert values['version'] == 7 and values['episodes'] == 3
+    assert values['mean'] == pytest.approx(sum(returns) / 3)
+    assert values['std'] == pytest.approx(np.std(returns))
+    assert (values['minimum'], values['maximum']) == (min(returns), max(returns))
+    assert values['completed'] == 0 and values['seconds'] > 0
+
+
+def test_validation_stops_when_told():
+    values = validate(PolicySource('random').open(), range(9), should_stop=lambda: True)
+    assert values['episodes'] == 1
+    with pytest.raises(EvaluationError, match='at least one seed'):
+        validate(Steady(), [])

@@ -1,0 +1,129 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""Runs that are being written, cut off, empty or odd: what is there is shown, the rest named."""
+from evaluation.errors import RecordsError, ResultsError
+from evaluation.records import add_results, load_run
+from evaluation.results import write_json
+from evaluation.tables import read_table
+from evaluation_cases import EPISODES, results, write_run
+import numpy as np
+import pytest
+
+
+def test_a_whole_run_has_no_problems(tmp_path):
+    run = load_run(write_run(
+        tmp_path / 'run', [1, 2, 3], validations=[(1, 500, 20)], test=[900], dummy=[-50]))
+    assert run.problems == []
+    assert run.episodes.columns['train_reward'].tolist() == [1, 2, 3]
+    assert run.validation.columns['mean'].tolist() == [500]
+    assert run.evaluation.statistics.mean == 900 and run.dummy.statistics.mean == -50
+    assert run.config['gamma'] == 0.97
+    assert run.wall_seconds == 1800
+    assert run.model is None
+
+
+def test_columns_of_empty_cells_hold_nothing(tmp_path):
+    run = load_run(write_run(tmp_path / 'run', [1, 2, 3]))
+    assert run.episodes.has('train_reward', 'epsilon')
+    assert not run.episodes.has('validation_reward')
+    assert not run.episodes.has('no such column')
+
+
+def test_half_a_row_at_the_end_is_left_out(tmp_path):
+    folder = write_run(tmp_path / 'run', [10, 20, 30])
+    path = folder / 'episodes.csv'
+    path.write_text(path.read_text()[:-12])
+    run = load_run(folder)
+    assert run.episodes.columns['train_reward'].tolist() == [10, 20]
+    assert run.problems == ['episodes.csv ends in the middle of a row, which was left out.']
+
+
+def test_a_run_that_goes_on_says_so(tmp_path):
+    folder = write_run(tmp_path / 'run', [10])
+    (folder / 'run.json').write_text('{"complete": false}')
+    run = load_run(folder)
+    assert run.problems == ['The run is not complete: it is still going on, or was stopped.']
+    assert run.wall_seconds == 0
+
+
+@pytest.mark.parametrize(('text', 'problem'), [
+    ('', 'x.csv is empty.'),
+    ('\n\n', 'x.csv is empty.'),
+    ('a,b\n', 'x.csv has no row yet.'),
+    ('a\n1\n', 'x.csv has no column b.'),
+    ('a,b\n1,2\n3\n4,5,6\n', 'x.csv: 2 rows with another number of cells than the header left'),
+    ('a,b\n1,two\n3,inf\n', 'x.csv: 2 rows in which b is no number.'),
+    ('a,b\n1,2', 'x.csv ends in the middle of a row'),
+])
+def test_odd_tables_are_read_as_far_as_they_go(tmp_path, text, problem):
+    (tmp_path / 'x.csv').write_text(text)
+    table, problems = read_table(tmp_path / 'x.csv', ('a', 'b'))
+    assert any(problem in sentence for sentence in problems)
+    assert {len(column) for column in table.columns.values()} <= {table.rows}
+
+
+def test_a_table_that_is_not_there_is_named(tmp_path):
+    table, problems = read_table(tmp_path / 'x.csv', ('a',))
+    assert table.rows == 0 and problems == ['x.csv is not there.']
+    (tmp_path / 'x.csv').mkdir()
+    assert 'cannot be read' in read_table(tmp_path / 'x.csv', ('a',))[1][0]
+
+
+def test_bytes_that_are_no_text_do_no_harm(tmp_path):
+    (tmp_path / 'x.csv').write_bytes(b'a,b\n1,2\n\xff\x00,3\n')
+    table, problems = read_table(tmp_path / 'x.csv', ('a', 'b'))
+    np.testing.assert_equal(table.columns['a'], [1, float('nan')])
+    assert problems == ['x.csv: 1 row in which a is no number.']
+
+
+def test_known_keeps_columns_beside_each_other(tmp_path):
+    (tmp_path / 'x.csv').write_text('a,b\n1,\n2,20\n,30\n4,40\n')
+    table, _ = read_table(tmp_path / 'x.csv', ('a', 'b'))
+    assert [column.tolist() for column in table.known('a', 'b')] == [[2, 4], [20, 40]]
+
+
+def test_a_folder_with_nothing_to_report_is_refused(tmp_path):
+    with pytest.raises(RecordsError, match='no such run folder'):
+        load_run(tmp_path / 'nowhere')
+    with pytest.raises(RecordsError, match='nothing to report: episodes.csv is not there'):
+        load_run(tmp_path)
+    (tmp_path / 'episodes.csv').write_text(EPISODES + '\n')
+    with pytest.raises(RecordsError, match='has no row yet'):
+        load_run(tmp_path)
+
+
+def test_test_laps_alone_can_be_reported(tmp_path):
+    write_json(tmp_path / 'evaluation.json', results([900]))
+    run = load_run(tmp_path)
+    assert run.evaluation is not None and run.episodes.rows == 0
+    assert 'episodes.csv is not there.' in run.problems
+
+
+def test_damaged_extras_are_problems_and_no_end(tmp_path):
+    folder = write_run(tmp_path / 'run', [1])
+    (folder / 'config.yaml').write_text('a: [1')
+    (folder / 'run.json').write_text('[]')
+    (folder / 'evaluation.json').write_text('{}')
+    run = load_run(folder)
+    assert run.config == {} and run.record == {} and run.evaluation is None
+    assert len(run.problems) == 3
+
+
+def test_the_record_may_lie_below_a_model(tmp_path):
+    folder = write_run(tmp_path / 'model' / 'training', [1, 2])
+    (tmp_path / 'model' / 'model.json').write_text('{}')
+    run = load_run(tmp_path / 'model')
+    assert run.name == 'model' and run.path == folder and run.episodes.rows == 2
+    assert run.model == tmp_path / 'model'
+
+
+def test_laps_that_are_given_take_the_place_of_those_found(tmp_path):
+    run = load_run(write_run(tmp_path / 'run', [1], test=[900]))
+    part = results([800, 810])
+    part.wanted = 10
+    write_json(tmp_path / 'other.json', part)
+    add_results(run, tmp_path / 'other.json')
+    assert run.evaluation.statistics.mean == 805
+    assert run.problems == ['other.json holds 2 of 10 laps.']
+    with pytest.raises(ResultsError, match='No such file'):
+        add_results(run, tmp_path / 'none.json')

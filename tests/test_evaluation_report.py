@@ -1,0 +1,156 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""The report: every file, every figure, and pages of runs that are not whole."""
+import base64
+import json
+import re
+from xml.etree import ElementTree
+
+from bringup.command import main as carracing
+from evaluation.figures import draw, FIGURES, NothingToShow
+from evaluation.records import load_run, Run
+from evaluation.report_page import make_pictures, markdown, render
+from evaluation_cases import write_run
+import numpy as np
+import pytest
+
+CURVE = np.linspace(-50, 900, 60).round(1).tolist()
+VALIDATIONS = [(10, 100, 50), (40, 700, 40), (59, 850, 30)]
+
+
+def whole_run(folder):
+    return write_run(folder, CURVE, validations=VALIDATIONS, test=[800, 910, 930], dummy=[-60])
+
+
+@pytest.fixture
+def no_figures(monkeypatch):
+    """Leave out what takes most of the time."""
+    monkeypatch.setattr('evaluation.report_page.FIGURES', ())
+
+
+def page_of(*runs):
+    return render(runs, make_pictures(runs), [])
+
+
+def test_the_command_writes_everything(tmp_path, capsys):
+    run = whole_run(tmp_path / 'run')
+    other = write_run(tmp_path / 'other', CURVE[:7], validations=())
+    assert carracing(['report', str(run), '--against', str(other), '--against', 'seed',
+                      '--output', str(tmp_path / 'out')]) == 0
+    said = capsys.readouterr().out
+    assert 'other: validation.csv has no row yet.' in said
+    assert 'run: pass: Show improvement' in said
+    out = tmp_path / 'out'
+    assert {path.name for path in out.iterdir()} == {
+        'figures', 'report.html', 'tables.json', 'tables.md'}
+    names = {path.name for path in (out / 'figures').iterdir()}
+    assert names == {f'{kind.name}.{suffix}' for kind in FIGURES for suffix in ('png', 'svg')}
+    for path in (out / 'figures').glob('*.svg'):
+        ElementTree.parse(path)
+    for path in (out / 'figures').glob('*.png'):
+        assert path.read_bytes().startswith(b'\x89PNG')
+    tables = json.loads((out / 'tables.json').read_text())
+    assert tables['run']['figures']['test_mean']['value'] == 880
+    assert tables['run']['figures']['test_mean']['stated_value'] == 855.74
+    assert '| mean | 3.2.3 | 855.74 | 880.00 | – (no laps' in (out / 'tables.md').read_text()
+
+
+def test_the_page_carries_everything_inside(tmp_path):
+    page = page_of(load_run(whole_run(tmp_path / 'run')))
+    sources = re.findall(r'(?:src|srcset|href)="([^"]*)"', page)
+    assert len(sources) == 2 * len(FIGURES)
+    for source in sources:
+        kind, data = source.split(',', 1)
+        assert kind == 'data:image/svg+xml;base64'
+        ElementTree.fromstring(base64.b64decode(data))
+    assert '<script' not in page and 'http' not in re.sub(r'base64,[^"]*', '', page)
+    assert '855.74' in page and '880.00' in page
+
+
+def test_the_same_run_gives_the_same_page(tmp_path):
+    run = whole_run(tmp_path / 'run')
+    assert page_of(load_run(run)) == page_of(load_run(run))
+
+
+def test_names_cannot_break_the_page(tmp_path, no_figures):
+    run = load_run(whole_run(tmp_path / 'run'))
+    run.name = '<b>|bold'
+    run.problems.append('<script>')
+    page = page_of(run)
+    assert '<b>|bold' not in page and '<script>' not in page
+    assert '<b>\\|bold' in markdown([run], [[]])
+
+
+@pytest.mark.parametrize('keep', ['episodes', 'validation', 'updates', 'evaluation'])
+def test_one_file_is_enough(tmp_path, keep):
+    folder = whole_run(tmp_path / 'run')
+    for path in folder.iterdir():
+        if path.stem != keep:
+            path.unlink()
+    run = load_run(folder)
+    pictures = make_pictures([run])
+    shown = [picture.name for picture in pictures if picture.wide]
+    assert shown
+    for picture in pictures:
+        assert picture.wide or picture.reason
+    assert 'Nothing to show' in render([run], pictures, [])
+
+
+@pytest.mark.parametrize('missing', ['episode', 'train_reward', 'wall_seconds', 'epsilon', 'loss'])
+def test_a_missing_column_leaves_the_others(tmp_path, missing):
+    folder = whole_run(tmp_path / 'run')
+    path = folder / 'episodes.csv'
+    header, rest = path.read_text().split('\n', 1)
+    path.write_text(header.replace(missing, 'renamed') + '\n' + rest)
+    run = load_run(folder)
+    assert any(missing in problem for problem in run.problems)
+    assert f'has no column {missing}' in page_of(run)
+
+
+def test_a_run_without_anything_has_nothing_to_show(tmp_path):
+    for kind in FIGURES:
+        with pytest.raises(NothingToShow, match='no run has'):
+            draw(kind, [Run('empty', tmp_path)])
+
+
+def test_the_dummy_agent_is_driven_when_nobody_has(
+    tmp_path, monkeypatch, capsys, no_figures,
+):
+    monkeypatch.setattr('evaluation.report_command.DUMMY_LAPS', 2)
+    run = write_run(tmp_path / 'run', CURVE)
+    assert carracing(['report', str(run), '--laps', '0']) == 0
+    assert 'driving 2 now' in capsys.readouterr().out
+    tables = json.loads((run / 'report' / 'tables.json').read_text())
+    assert -100 < tables['run']['figures']['dummy_mean']['value'] < 0
+    assert carracing(['report', str(run), '--laps', '0']) == 0
+    assert 'driving' not in capsys.readouterr().out
+
+
+def test_runs_of_one_name_are_told_apart(tmp_path, no_figures):
+    first, second = whole_run(tmp_path / 'a' / 'run'), whole_run(tmp_path / 'b' / 'run')
+    assert carracing(['report', str(first), '--against', str(second),
+                      '--output', str(tmp_path / 'out')]) == 0
+    assert list(json.loads((tmp_path / 'out' / 'tables.json').read_text())) == [
+        'run (a)', 'run (b)']
+
+
+@pytest.mark.parametrize(('words', 'message'), [
+    (['/no/such/run'], 'no such run folder'),
+    (['{run}', '--against', '/no/such/run'], 'no such run folder'),
+    (['{run}', '--evaluation', '/no/such.json'], 'No such file'),
+    (['{run}', '--laps', '-1'], '--laps is -1'),
+    (['{run}', '--output', '/proc/nowhere'], 'cannot be made'),
+])
+def test_bad_options_are_one_line_and_code_2(tmp_path, capsys, words, message):
+    run = whole_run(tmp_path / 'run')
+    assert carracing(['report', *(word.format(run=run) for word in words)]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith('error: ') and message in error and error.count('\n') == 1
+
+
+def test_a_model_that_cannot_be_used_is_a_problem_and_no_end(tmp_path, capsys, no_figures):
+    run = whole_run(tmp_path / 'run')
+    (run / 'best').mkdir()
+    (run / 'best' / 'model.json').write_text('{}')
+    assert carracing(['report', str(run)]) == 0
+    assert 'No laps are shown' in capsys.readouterr().out

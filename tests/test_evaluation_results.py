@@ -1,0 +1,128 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""Files of laps: whole, resumable, never mixed up."""
+import argparse
+import csv
+import json
+
+from bringup.command import main as carracing
+from evaluation import evaluate_command
+from evaluation.errors import EvaluationError, ResultsError
+from evaluation.results import COLUMNS, read_json, resume, write_csv, write_json
+from evaluation_cases import results
+import pytest
+
+POLICY = {'kind': 'model', 'name': 'model'}
+
+
+def evaluate(*words):
+    return carracing(['evaluate', '--simulator', 'fast', '--processes', '1', *map(str, words)])
+
+
+def test_json_is_read_back_as_it_was(tmp_path):
+    written = results([700, 812.5, 930], lap_finished=True)
+    write_json(tmp_path / 'r.json', written)
+    assert read_json(tmp_path / 'r.json') == written
+    values = json.loads((tmp_path / 'r.json').read_text())
+    assert values['complete'] is True
+    assert values['statistics']['mean'] == pytest.approx(814.1666667)
+    assert values['statistics']['success'] == {'700': 1.0, '800': 2 / 3, '900': 1 / 3}
+
+
+def test_csv_has_a_row_a_lap(tmp_path):
+    write_csv(tmp_path / 'r.csv', results([700, 930]))
+    header, *rows = csv.reader((tmp_path / 'r.csv').open())
+    assert tuple(header) == COLUMNS
+    assert rows[1] == ['100001', '930.0', '1000', '270', '300', '0', '0', '0', '1.0']
+
+
+@pytest.mark.parametrize(('text', 'message'), [
+    ('', 'not JSON'), ('[]', 'not a file of carracing evaluate'), ('{"laps": 1}', 'not a file'),
+    ('{"format": "carracing_dqn evaluation 1"}', 'damaged'),
+    ('{"format": "carracing_dqn evaluation 1", "laps": [{"seed": 1}]}', 'damaged'),
+    ('{"format": "carracing_dqn evaluation 1", "laps": 5}', 'damaged'),
+])
+def test_a_file_that_is_something_else_is_named(tmp_path, text, message):
+    (tmp_path / 'r.json').write_text(text)
+    with pytest.raises(ResultsError, match=message):
+        read_json(tmp_path / 'r.json')
+
+
+def test_a_lap_with_a_missing_or_wrong_value_is_damage(tmp_path):
+    write_json(tmp_path / 'r.json', results([700]))
+    values = json.loads((tmp_path / 'r.json').read_text())
+    for change in ({'episode_return': None}, {'tiles_total': 0}, {'frames': 'many'}):
+        values['laps'][0] |= change
+        (tmp_path / 'r.json').write_text(json.dumps(values))
+        with pytest.raises(ResultsError, match='damaged'):
+            read_json(tmp_path / 'r.json')
+
+
+def test_laps_of_another_evaluation_are_not_gone_on_with(tmp_path):
+    path = tmp_path / 'r.json'
+    write_json(path, results([700, 800]))
+    seeds = range(100_000, 100_010)
+    assert list(resume(path, POLICY, 'gymnasium', seeds).laps) == [100_000, 100_001]
+    assert resume(tmp_path / 'other.json', POLICY, 'gymnasium', seeds).laps == {}
+    with pytest.raises(ResultsError, match="simulator is 'gymnasium' there, 'fast' here"):
+        resume(path, POLICY, 'fast', seeds)
+    with pytest.raises(ResultsError, match='weights_sha256 is None there'):
+        resume(path, {**POLICY, 'weights_sha256': 'abc'}, 'gymnasium', seeds)
+    with pytest.raises(ResultsError, match='2 laps of other seeds'):
+        resume(path, POLICY, 'gymnasium', range(5))
+
+
+def test_an_evaluation_goes_on_where_it_stopped(tmp_path, capsys):
+    whole, part = tmp_path / 'whole.json', tmp_path / 'part.json'
+    assert evaluate('--policy', 'random', '--episodes', 3, '--json', whole) == 0
+    assert evaluate('--policy', 'random', '--episodes', 1, '--json', part) == 0
+    assert evaluate('--policy', 'random', '--episodes', 3, '--json', part,
+                    '--csv', tmp_path / 'part.csv') == 0
+    assert '1 of 3 laps are in' in capsys.readouterr().out
+    assert read_json(part).laps == read_json(whole).laps
+    assert len((tmp_path / 'part.csv').read_text().splitlines()) == 4
+    before = read_json(part).seconds
+    assert evaluate('--policy', 'random', '--episodes', 3, '--json', part) == 0
+    assert read_json(part).seconds == before
+
+
+def test_ctrl_c_keeps_the_laps(tmp_path, monkeypatch, capsys):
+    def interrupted(source, seeds, **_):
+        yield from list(results([700, 800]).laps.values())
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(evaluate_command, 'drive_laps', interrupted)
+    path = tmp_path / 'r.json'
+    assert evaluate('--policy', 'random', '--json', path) == 130
+    assert 'stopped after 2 of 100 laps' in capsys.readouterr().err
+    assert len(read_json(path).laps) == 2
+    assert json.loads(path.read_text())['complete'] is False
+
+
+@pytest.mark.parametrize(('words', 'message'), [
+    (['--episodes', 0], 'episodes is 0'), (['--processes', 0], 'processes is 0'),
+    (['--seed', -1], 'seed is -1'), (['--seed', 2**31], 'seed is'),
+    (['--bag', 'x'], 'through-graph'), (['--json', '/no/such/folder/r.json'], 'no folder'),
+    (['--policy', 'me'], 'accepted:'), (['--policy', 'evaluation_cases:not_finite'], 'steer nan'),
+    (['--model', 'no_such_model'], 'no_such_model'),
+])
+def test_bad_options_are_one_line_and_code_2(words, message, capsys, tmp_path):
+    words = words if '--policy' in words or '--model' in words else [*words, '--policy', 'random']
+    assert evaluate('--csv', tmp_path / 'r.csv', *words) == 2
+    error = capsys.readouterr().err
+    assert error.startswith('error: ') and message in error and error.count('\n') == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_that_cannot_be_written_is_named(tmp_path, capsys):
+    (tmp_path / 'r.csv').mkdir()
+    assert evaluate('--policy', 'random', '--episodes', 1, '--csv', tmp_path / 'r.csv') == 2
+    assert 'cannot be written' in capsys.readouterr().err
+
+
+def test_the_command_alone_has_no_graph():
+    parser = argparse.ArgumentParser()
+    evaluate_command.add_arguments(parser)
+    arguments = parser.parse_args(['--policy', 'random', '--through-graph', '--episodes', '1'])
+    with pytest.raises(EvaluationError, match='carracing command'):
+        evaluate_command.main(arguments)
