@@ -200,8 +200,8 @@ class CarRacingEnvironment(gymnasium.Env):
                 self._last_new_tile = sim.frames
             if lap_finished or off_field:
                 terminated = True
-                self._lap_finished = lap_finished
-                info['lap_finished'] = lap_finished and not off_field
+                self._lap_finished = lap_finished and not off_field
+                info['lap_finished'] = self._lap_finished
             if sim.frames == self.max_episode_steps:
                 truncated = True
             waited = sim.frames - self._last_new_tile

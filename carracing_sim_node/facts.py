@@ -35,7 +35,7 @@ class Facts(NamedTuple):
     """Consecutive frames, up to this one, with a speed below `simulation.STANDING_SPEED`."""
 
     lap_finished: bool
-    """Every tile has been visited, which is what ends the episode as finished."""
+    """The episode has ended with every tile visited."""
 
     ended_early: bool
     """The variant `early_end_frames` has ended this episode."""
