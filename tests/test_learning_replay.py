@@ -140,10 +140,11 @@ def test_a_restored_buffer_samples_the_same():
     fill(buffer, [(7, 'terminated'), (5, 'broken'), (9, 'truncated'), (9, 'broken')])
     arrays = {name: array.copy() for name, array in buffer.state_arrays().items()}
     other.load_state(arrays, buffer.written)
+    other.put_pictures(buffer.oldest, buffer.pictures(buffer.oldest, buffer.written))
     for own in (buffer, other):
         own.add(1, 5.0, picture(999), terminated=False)
     first = buffer.sample(40, np.random.default_rng(0))
     second = other.sample(40, np.random.default_rng(0))
     assert all(np.array_equal(a, b) for a, b in zip(first, second))
     with pytest.raises(ValueError, match='replay pictures are'):
-        ReplayBuffer(30, (2, 2)).load_state(arrays, buffer.written)
+        ReplayBuffer(30, (2, 2)).put_pictures(0, buffer.pictures(0, 10))

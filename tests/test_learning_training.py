@@ -15,6 +15,7 @@ from msgs_bridge.twists import Action
 import numpy as np
 import pytest
 import torch
+from trainer_node import picture_blocks
 from trainer_node.checkpoint_file import read_checkpoint
 from trainer_node.errors import LearningError, RunError
 from trainer_node.training import Training
@@ -81,7 +82,9 @@ def test_the_same_stream_gives_the_same_weights(tmp_path):
 
 
 @pytest.mark.parametrize('stop', [5, 21, 73, 140, 260])
-def test_an_interrupted_run_goes_on_as_if_nothing_had_happened(tmp_path, stop):
+def test_an_interrupted_run_goes_on_as_if_nothing_had_happened(tmp_path, stop, monkeypatch):
+    # so that the pictures of this short run fill blocks, too
+    monkeypatch.setattr(picture_blocks, 'BLOCK', 16)
     transitions = list(stream(330))
     whole, parts = [], []
     training = create(tmp_path / 'whole', **RICH)
@@ -94,6 +97,8 @@ def test_an_interrupted_run_goes_on_as_if_nothing_had_happened(tmp_path, stop):
     # what happens after the checkpoint is lost, and its rows with it
     lost = transitions[stop:stop + 40]
     drive(training, lost)
+    # a checkpoint that was cut off may leave blocks of what is lost behind
+    training._blocks.write(training.buffer)
     torch.manual_seed(99)
     training = Training.resume(tmp_path / 'parts', device='cpu', clock=Clock())
     drive(training, transitions[stop:], parts)
@@ -269,6 +274,29 @@ def test_a_full_disk_keeps_the_checkpoint_before(tmp_path, monkeypatch):
     assert [path.name for path in training.folder.checkpoint.parent.iterdir()] == [
         'checkpoint.safetensors']
     assert Training.resume(tmp_path / 'run', device='cpu').decisions == 30
+
+
+@pytest.mark.parametrize('how', ['cut', 'empty', 'other', 'missing'])
+def test_a_damaged_block_of_pictures_is_named(tmp_path, how, monkeypatch):
+    monkeypatch.setattr(picture_blocks, 'BLOCK', 16)
+    training = create(tmp_path / 'run')
+    drive(training, stream(60))
+    training.save()
+    block = sorted(training.folder.checkpoint.parent.glob('pictures-*'))[1]
+    block.unlink() if how == 'missing' else damage(block, how)
+    with pytest.raises(RunError, match=f'{block.name}: damaged checkpoint'):
+        Training.resume(tmp_path / 'run', device='cpu')
+
+
+def test_blocks_that_no_checkpoint_needs_are_removed(tmp_path, monkeypatch):
+    monkeypatch.setattr(picture_blocks, 'BLOCK', 16)
+    training = create(tmp_path / 'run')
+    for seed in range(6):
+        drive(training, stream(60, seed=seed))
+        training.save()
+    blocks = list(training.folder.checkpoint.parent.glob('pictures-*'))
+    assert training.buffer.oldest > 100
+    assert len(blocks) <= training.settings.replay_capacity // 16 + 1
 
 
 def test_another_network_is_refused_with_what_differs(tmp_path):

@@ -187,7 +187,7 @@ class Hyperparameters:
         0.0, 'standard deviations taken off the mean when the best model is chosen',
         low=0.0, high=10.0)
     checkpoint_every_minutes: float = setting(
-        10.0, 'minutes between checkpoints; 0 = only at the end', low=0.0, high=1e6)
+        1.0, 'minutes between checkpoints; 0 = only at the end', low=0.0, high=1e6)
 
     def __post_init__(self) -> None:
         """

@@ -48,7 +48,7 @@ class ReplayBuffer:
         mirrored: for each action its mirror image, to flip half of the samples; None never does.
     """
 
-    _ARRAYS = ('pictures', 'actions', 'rewards', 'terminated', 'acted', 'ages')
+    _ARRAYS = ('actions', 'rewards', 'terminated', 'acted', 'ages')
 
     def __init__(
         self, capacity: int, shape: tuple[int, int], *, frame_stack: int = 1, n_steps: int = 1,
@@ -181,16 +181,40 @@ class ReplayBuffer:
         self._pictures.take(slots.ravel(), axis=0, out=self._gathered, mode='clip')
         return self._gathered.reshape(len(numbers), self.frame_stack, *self._pictures.shape[1:])
 
+    @property
+    def oldest(self) -> int:
+        """Return the number of the oldest slot that is still held."""
+        return max(self.written - self.capacity, 0)
+
+    def pictures(self, first: int, end: int) -> np.ndarray:
+        """Return the pictures of slots first to end - 1, uint8 (end - first, H, W), as a copy."""
+        return self._pictures[np.arange(first, end) % self.capacity]
+
+    def put_pictures(self, first: int, pictures: np.ndarray) -> None:
+        """
+        Put pictures, uint8 (N, H, W), into the slots from `first` on that are still held.
+
+        Raises:
+            ValueError: another picture size or type.
+        """
+        own = self._pictures
+        if pictures.shape[1:] != own.shape[1:] or pictures.dtype != own.dtype:
+            raise ValueError(f'replay pictures are {pictures.dtype} {pictures.shape}; '
+                             f'expected {own.dtype} {own.shape[1:]}')
+        numbers = np.arange(first, first + len(pictures))
+        held = (numbers >= self.oldest) & (numbers < self.written)
+        own[numbers[held] % self.capacity] = pictures[held]
+
     def state_arrays(self) -> dict[str, np.ndarray]:
-        """Return the filled part of each array, as views."""
+        """Return the filled part of each array but the pictures, as views."""
         return {name: getattr(self, f'_{name}')[:len(self)] for name in self._ARRAYS}
 
     def load_state(self, arrays: dict[str, np.ndarray], written: int) -> None:
         """
-        Take over what `state_arrays` gave.
+        Take over what `state_arrays` gave; the pictures are put in with `put_pictures`.
 
         Raises:
-            ValueError: arrays of another capacity or picture size.
+            ValueError: arrays of another capacity.
         """
         size = min(written, self.capacity)
         for name in self._ARRAYS:

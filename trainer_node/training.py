@@ -34,6 +34,7 @@ from trainer_node.errors import RunError
 from trainer_node.hyperparameters import Hyperparameters, to_yaml
 from trainer_node.learner import Learner, UpdateResult
 from trainer_node.limiter import ReplayRatioLimiter
+from trainer_node.picture_blocks import PictureBlocks
 from trainer_node.replay_buffer import ReplayBuffer
 from trainer_node.run_folder import describe_machine, now, RunFolder
 from trainer_node.shaping import shaped_reward
@@ -100,6 +101,7 @@ class Training:
             settings.replay_capacity, self.description.preprocessing.shape,
             frame_stack=settings.frame_stack, n_steps=settings.n_steps, gamma=settings.gamma,
             mirrored=self.description.action_set.mirrored() if settings.flips else None)
+        self._blocks = PictureBlocks(folder.checkpoint.parent)
         self.limiter = ReplayRatioLimiter(
             settings.samples_per_transition, settings.batch_size, settings.learning_starts)
         self._learning_rate = schedules.LearningRate(settings)
@@ -446,6 +448,7 @@ class Training:
         """
         self._saved_seconds = self.wall_seconds
         arrays = {f'replay.{name}': array for name, array in self.buffer.state_arrays().items()}
+        arrays['pictures'] = self._blocks.write(self.buffer)
         for name, tensor in self.learner.state_tensors().items():
             arrays[f'learner.{name}'] = tensor.contiguous().numpy()
         for version, tensors in self._pending.items():
@@ -470,6 +473,7 @@ class Training:
             'positions': self._tracking.positions(),
         }
         write_checkpoint(self.folder.checkpoint, arrays, state)
+        self._blocks.remove_unneeded(self.buffer)
         self._write_record()
         return self.folder.checkpoint
 
@@ -490,6 +494,7 @@ class Training:
         self.buffer.load_state(
             {name.removeprefix('replay.'): array for name, array in arrays.items()},
             state['written'])
+        self._blocks.read(self.buffer, arrays['pictures'])
         for name, tensor in tensors.items():
             if name.startswith('pending.'):
                 _, version, key = name.split('.', 2)
