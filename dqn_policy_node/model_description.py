@@ -14,6 +14,7 @@ from dqn_policy_node.errors import ModelError
 
 FRAME_SIDE = 96
 GRAYS = ('mean', 'luma')
+ROADS = ('plain', 'flat', 'contrast')
 # model files and weights come from outside: no description may ask for more than this
 MAX_PARAMETERS = 50_000_000
 _CONVOLUTION = re.compile(r'(\d{1,4})@(\d{1,2})/(\d{1,2})')
@@ -32,8 +33,10 @@ class Preprocessing:
     Attributes:
         first_row, rows, first_column, columns: the part of the 96x96 frame that is kept.
         gray: 'mean' of the channels (the report, 2.1) or 'luma' (ITU-R BT.601).
-        flat_road: draw the three shades of unvisited road (CarRacing adds 0, 1 or 2 %) and the
-            visited road as one, so that road already visited looks worth driving on.
+        road: how the road is shown. CarRacing draws two of three unvisited tiles 1 or 2 %
+            brighter than visited road. 'plain' leaves that as it is; 'flat' draws all road in
+            one shade, so that visited road looks worth driving on; 'contrast' stretches the
+            difference, so that a car that has spun can see where it has not been.
         shrink: side of the square of pixels that is averaged into one.
     """
 
@@ -42,7 +45,7 @@ class Preprocessing:
     first_column: int = 0
     columns: int = FRAME_SIDE
     gray: str = 'mean'
-    flat_road: bool = False
+    road: str = 'plain'
     shrink: int = 1
 
     def __post_init__(self) -> None:
@@ -58,8 +61,8 @@ class Preprocessing:
                 f'shrink {self.shrink} does not divide {self.rows} rows x {self.columns} columns')
         if self.gray not in GRAYS:
             raise ModelError(f'gray is {self.gray!r}; accepted: {", ".join(GRAYS)}')
-        if type(self.flat_road) is not bool:
-            raise ModelError(f'flat_road is {self.flat_road!r}; accepted: true or false')
+        if self.road not in ROADS:
+            raise ModelError(f'road is {self.road!r}; accepted: {", ".join(ROADS)}')
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -68,11 +68,22 @@ class QNetwork(nn.Module):
             if dropout is not None and self.dropout and index == DROPOUT_LAYER:
                 x = x * _dropout_mask(x, self.dropout, dropout)
         x = functional.relu(self.hidden(x.permute(0, 2, 3, 1).flatten(1)), inplace=True)
+        x = x.float()
         if not self.description.network.dueling:
-            return self.output(x).float()
+            return self.output(x)
         of_value, of_advantage = x.chunk(2, dim=1)
-        advantage = self.advantage(of_advantage).float()
-        return self.value(of_value).float() + advantage - advantage.mean(1, keepdim=True)
+        advantage = self.advantage(of_advantage)
+        return self.value(of_value) + advantage - advantage.mean(1, keepdim=True)
+
+    def to_bfloat16(self) -> QNetwork:
+        """
+        Make the weights bfloat16, except those of the Q-values; return self.
+
+        A Q-value of 20 has steps of 1/8 in bfloat16, which is more than actions differ by.
+        """
+        self.convolutions.to(torch.bfloat16)
+        self.hidden.to(torch.bfloat16)
+        return self
 
 
 def _dropout_mask(x: torch.Tensor, share: float, random: np.random.Generator) -> torch.Tensor:

@@ -11,6 +11,8 @@ from msgs_bridge.errors import MessageError
 # gymnasium draws road at 102 plus 0, 2.55 or 5.1; its scaling blurs each by a level or so
 ROAD_LEVELS = range(98, 108)
 ROAD = 102
+# darker with every level: brighter would end among the grass (136 to 145)
+ROAD_CONTRAST = -9
 # ITU-R BT.601, in 1/256
 LUMA = (77, 150, 29)
 
@@ -26,8 +28,11 @@ class Preprocessor:
         self._columns = slice(
             description.first_column, description.first_column + description.columns)
         levels = np.arange(256)
-        if description.flat_road:
-            levels[list(ROAD_LEVELS)] = ROAD
+        road = np.array(ROAD_LEVELS)
+        if description.road == 'flat':
+            levels[road] = ROAD
+        elif description.road == 'contrast':
+            levels[road] = ROAD + ROAD_CONTRAST * np.maximum(road - ROAD, 0)
         if description.gray == 'mean':
             # rounded mean of three channels, by their sum; of three equal ones the value itself
             self._weights = None

@@ -98,7 +98,7 @@ def test_the_report_network_has_the_shapes_of_table_1():
     (('preprocessing', 'first_row'), 90, 'rows is 24; accepted: whole numbers from 1 to 6'),
     (('preprocessing', 'shrink'), 5, 'does not divide'),
     (('preprocessing', 'gray'), 'red', "gray is 'red'; accepted: mean, luma"),
-    (('preprocessing', 'flat_road'), 'yes', 'flat_road'),
+    (('preprocessing', 'road'), 'wet', "road is 'wet'; accepted: plain, flat, contrast"),
     (('frame_stack',), 10**9, 'frame_stack'),
     (('frame_stack',), True, 'frame_stack is True'),
     (('action_repeat',), 0, 'action_repeat is 0'),

@@ -44,8 +44,16 @@ def test_flat_road_makes_the_four_shades_one_and_leaves_grass_alone():
         frame[:, column] = shade
     frame[:, 3] = (102, 204, 102)
     frame[:, 4] = (102, 230, 102)
-    got = Preprocessor(Preprocessing(flat_road=True))(frame)[0, :6]
+    got = Preprocessor(Preprocessing(road='flat'))(frame)[0, :6]
     assert got.tolist() == [102, 102, 102, 136, 145, 0]
+
+
+def test_contrast_darkens_unvisited_road_and_leaves_the_rest_alone():
+    frame = np.zeros((96, 96, 3), np.uint8)
+    for column, shade in enumerate((100, 102, 104, 107, 108, 136, 97)):
+        frame[:, column] = shade
+    got = Preprocessor(Preprocessing(road='contrast'))(frame)[0, :7]
+    assert got.tolist() == [102, 102, 84, 57, 108, 136, 97]
 
 
 def test_a_frame_of_another_size_or_type_is_refused(frame):
@@ -64,7 +72,7 @@ def test_a_read_only_view_with_long_rows_will_do(frame):
 
 
 def test_it_takes_far_less_than_a_frame_lasts(frame):
-    own = Preprocessor(Preprocessing(shrink=2, flat_road=True))
+    own = Preprocessor(Preprocessing(shrink=2, road='flat'))
     times = []
     for _ in range(50):
         start = time.perf_counter()

@@ -16,7 +16,7 @@ import yaml
 
 from dqn_policy_node.action_sets import ACTION_SETS, action_set
 from dqn_policy_node.model_description import (
-    GRAYS, ModelDescription, Network, parse_convolutions, Preprocessing,
+    GRAYS, ModelDescription, Network, parse_convolutions, Preprocessing, ROADS,
 )
 from dqn_policy_node.share import share_path
 from msgs_bridge.errors import SettingsError
@@ -49,9 +49,9 @@ class Hyperparameters:
     columns: int = setting(96, 'columns that are kept', low=1, high=96)
     shrink: int = setting(
         1, 'side in pixels of the squares that are averaged into one', low=1, high=8)
-    flat_road: bool = setting(
-        False, 'draw visited and unvisited road in one shade, so that the car goes on where all '
-        'tiles are visited (AMD-RIPS 2018 hid them too)')
+    road: str = setting(
+        'plain', 'how the faint shades of unvisited road are shown: as drawn, all in one shade '
+        '(AMD-RIPS 2018 hid them, too), or with more contrast', choices=ROADS)
     frame_stack: int = setting(
         1, 'pictures the network sees at once; the report names one (2.1)', low=1, high=16)
     action_set: str = setting(
@@ -217,7 +217,7 @@ class Hyperparameters:
                 parse_convolutions(self.convolutions), self.hidden, self.dueling, self.dropout),
             preprocessing=Preprocessing(
                 self.first_row, self.rows, self.first_column, self.columns, self.gray,
-                self.flat_road, self.shrink),
+                self.road, self.shrink),
             frame_stack=self.frame_stack,
             action_set=action_set(self.action_set),
             action_repeat=self.drive_repeat or self.action_repeat,

@@ -78,8 +78,8 @@ class Learner:
         self._working = self.online
         self.target = QNetwork(description).to(self.device).requires_grad_(False)
         if settings.bf16:
-            self._working = QNetwork(description).to(self.device, torch.bfloat16)
-            self.target.to(torch.bfloat16)
+            self._working = QNetwork(description).to(self.device).to_bfloat16()
+            self.target.to_bfloat16()
         self.averaged: QNetwork | None = None
         if settings.weight_average:
             self.averaged = QNetwork(description).to(self.device).requires_grad_(False)
