@@ -159,6 +159,10 @@ def main(arguments: argparse.Namespace) -> int:
     if bag.is_dir():
         console.print(f'bag: {bag}  (look: carracing bag info {bag})', highlight=False,
                       soft_wrap=True)
+        if not interrupted:
+            from bringup.run_pictures import draw_recorded_laps
+            for picture in draw_recorded_laps(bag, folder / 'pictures'):
+                console.print(f'picture: {picture}', highlight=False, soft_wrap=True)
     return 130 if interrupted else 0
 
 

@@ -156,7 +156,6 @@ LIVE_VALUES = (
     ('TD error', 'td_error', '.3f'),
     ('mean Q', 'q_mean', '.2f'),
     ('weights version', 'weights_version', '.0f'),
-    ('seconds', 'wall_seconds', '.0f'),
     ('share of the run done', 'progress', '.1%'),
 )
 """Label, name in the trainer's diagnostics and format of what the display shows."""
@@ -170,6 +169,10 @@ def training_table(state: GraphState) -> Table:
     for label, name, form in LIVE_VALUES:
         value = state.value(TRAINER, name)
         table.add_row(label, '-' if value != value else format(value, form))
+    seconds, progress = state.value(TRAINER, 'wall_seconds'), state.value(TRAINER, 'progress')
+    if progress > 0:
+        table.add_row('minutes so far', f'{seconds / 60:.1f}')
+        table.add_row('minutes left, about', f'{seconds * (1 / progress - 1) / 60:.1f}')
     table.add_row('decisions/s', f'{state.value(SIMULATOR, "decisions_per_second", 0.0):.0f}')
     age = (state.value(TRAINER, 'weights_version')
            - state.value('dqn_policy_node', 'weights_version'))
