@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
+import dataclasses
 import os
 from pathlib import Path
 import signal
@@ -25,6 +26,7 @@ TEST_SEED = 100_000
 """First track of a test: training and validation draw theirs from lower seeds."""
 
 LARGEST_SEED = 2**31 - 1
+MOST_REPEATS = 50
 INTERRUPTED = 130
 
 
@@ -55,6 +57,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help='a picture of every lap: the track from above, by speed and reward')
     parser.add_argument('--device', default='cpu', help='where a model computes, as PyTorch names '
                         'it (default: %(default)s)')
+    parser.add_argument('--action-repeat', type=int, default=0, metavar='N',
+                        help='frames a model holds an action (default: 0, as the model says)')
     parser.add_argument(
         '--through-graph', action='store_true',
         help='drive the same tracks over ROS topics, simulator and policy as processes')
@@ -75,7 +79,9 @@ def main(arguments: argparse.Namespace, *, run_graph: RunGraph | None = None) ->
     """
     _check(arguments)
     console = Console()
-    source = parse_policy(arguments.policy, arguments.model, arguments.device)
+    source = dataclasses.replace(
+        parse_policy(arguments.policy, arguments.model, arguments.device),
+        action_repeat=arguments.action_repeat)
     seeds = range(arguments.seed, arguments.seed + arguments.episodes)
     simulator = 'graph' if arguments.through_graph else arguments.simulator
     identity = source.identity()
@@ -164,6 +170,11 @@ def _check(arguments: argparse.Namespace) -> None:
     if not 0 <= arguments.seed <= LARGEST_SEED - arguments.episodes:
         raise EvaluationError(
             f'--seed is {arguments.seed}; accepted: 0 to {LARGEST_SEED - arguments.episodes}')
+    if not 0 <= arguments.action_repeat <= MOST_REPEATS:
+        raise EvaluationError(
+            f'--action-repeat is {arguments.action_repeat}; accepted: 0 to {MOST_REPEATS}')
+    if arguments.action_repeat and (arguments.through_graph or arguments.policy != MODEL):
+        raise EvaluationError('--action-repeat is for models that are driven in process')
     if arguments.bag is not None and not arguments.through_graph:
         raise EvaluationError('--bag records topics, which only --through-graph has')
     if arguments.pictures is not None and arguments.through_graph:

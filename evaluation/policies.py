@@ -54,11 +54,13 @@ class PolicySource:
         kind: 'model', 'random', or `module:callable`.
         model: model folder, when the kind is 'model'.
         device: where a model computes, as PyTorch names it.
+        action_repeat: simulator frames a model's action is held; 0 = as the model says.
     """
 
     kind: str
     model: str = ''
     device: str = 'cpu'
+    action_repeat: int = 0
 
     @property
     def name(self) -> str:
@@ -80,7 +82,10 @@ class PolicySource:
         """
         if self.kind == MODEL:
             from dqn_policy_node import load_policy
-            return load_policy(self.model, self.device)
+            policy = load_policy(self.model, self.device)
+            if self.action_repeat:
+                policy.action_repeat = self.action_repeat
+            return policy
         if self.kind == RANDOM:
             return _random_policy()
         return Custom(_made_by(self.kind))
@@ -103,7 +108,7 @@ class PolicySource:
                     (Path(self.model) / WEIGHTS_FILE).read_bytes()).hexdigest(),
                 'description_sha256': description.sha256(),
                 'action_set': description.action_set.name,
-                'action_repeat': description.action_repeat,
+                'action_repeat': self.action_repeat or description.action_repeat,
                 'version': model.version,
             }
         if self.kind == RANDOM:

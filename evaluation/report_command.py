@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
+import contextlib
 import json
 from pathlib import Path
 from typing import Any
@@ -31,8 +32,8 @@ DUMMY_SEED = 100_000
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    parser.add_argument('run', metavar='RUN', help='run folder, or model folder with the record '
-                        'of its training')
+    parser.add_argument('run', metavar='RUN', help='run folder, or folder or name of a model with '
+                        'the record of its training')
     parser.add_argument(
         '--against', action='append', default=[], metavar='RUN|seed',
         help='lay another run over it, any number of times; seed: only the seed document, which '
@@ -64,8 +65,8 @@ def main(arguments: argparse.Namespace) -> int:
         raise EvaluationError(f'--laps is {arguments.laps}; accepted: 0 or more')
     console = Console()
     limit_torch_threads()
-    runs = [load_run(arguments.run)]
-    runs += [load_run(other) for other in arguments.against if other != SEED]
+    runs = [load_run(_find(arguments.run))]
+    runs += [load_run(_find(other)) for other in arguments.against if other != SEED]
     for path in (arguments.evaluation, arguments.dummy):
         if path is not None:
             add_results(runs[0], path)
@@ -75,7 +76,7 @@ def main(arguments: argparse.Namespace) -> int:
                 'There are no test laps; carracing evaluate --model RUN --json '
                 'RUN/evaluation.json drives them.')
     _distinct_names(runs)
-    output = arguments.output or Path(arguments.run) / 'report'
+    output = arguments.output or _find(arguments.run) / 'report'
     _make_folder(output / 'figures')
     _need_dummy(runs, output, console)
     laps = lap_pictures(list(_trajectories(runs[0], arguments.laps, console)))
@@ -98,6 +99,15 @@ def main(arguments: argparse.Namespace) -> int:
                           highlight=False, soft_wrap=True, markup=False)
     console.print(f'wrote {output / "report.html"}', highlight=False, soft_wrap=True)
     return 0
+
+
+def _find(text: str) -> Path:
+    """Return a run folder, or the folder of a shipped model of that name."""
+    if not Path(text).expanduser().is_dir():
+        from dqn_policy_node import share_path
+        with contextlib.suppress(FileNotFoundError):
+            return share_path(Path('models') / text)
+    return Path(text).expanduser()
 
 
 def _need_dummy(runs: list[Run], output: Path, console: Console) -> None:

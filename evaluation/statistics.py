@@ -144,7 +144,10 @@ def share_interval(successes: int, trials: int) -> tuple[float, float]:
     middle = share + _Z * _Z / (2 * trials)
     width = _Z * math.sqrt(share * (1 - share) / trials + _Z * _Z / (4 * trials * trials))
     scale = 1 + _Z * _Z / trials
-    return max(0.0, (middle - width) / scale), min(1.0, (middle + width) / scale)
+    # at the ends the formula gives 0 and 1 but for rounding
+    low = (middle - width) / scale if successes else 0.0
+    high = (middle + width) / scale if successes < trials else 1.0
+    return low, high
 
 
 def moving_average(values: np.ndarray, window: int) -> np.ndarray:

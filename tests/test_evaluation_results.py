@@ -102,6 +102,7 @@ def test_ctrl_c_keeps_the_laps(tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize(('words', 'message'), [
     (['--episodes', 0], 'episodes is 0'), (['--processes', 0], 'processes is 0'),
     (['--seed', -1], 'seed is -1'), (['--seed', 2**31], 'seed is'),
+    (['--action-repeat', 51], 'action-repeat is 51'), (['--action-repeat', 2], 'for models'),
     (['--bag', 'x'], 'through-graph'), (['--json', '/no/such/folder/r.json'], 'no folder'),
     (['--policy', 'me'], 'accepted:'), (['--policy', 'evaluation_cases:not_finite'], 'steer nan'),
     (['--model', 'no_such_model'], 'no_such_model'),
