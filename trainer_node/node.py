@@ -40,6 +40,9 @@ from trainer_node.training import Training
 # A snapshot for the diagnostics is taken by the learning thread, every so many transitions.
 STATUS_EVERY = 20
 
+# Times the queue limit at which transitions are dropped because nobody can be paused.
+OVERRUN = 50
+
 
 class TrainerNode(NodeShell):
     """
@@ -101,7 +104,15 @@ class TrainerNode(NodeShell):
 
     def _put(self, transitions: list[Transition]) -> None:
         for transition in transitions:
-            self._queue.put(transition)
+            if self._queue.qsize() < OVERRUN * self.settings.queue_limit:
+                self._queue.put(transition)
+            else:
+                # a simulator without ~/pause, or a bag played too fast
+                self.counts['transitions_overrun'] += 1
+                self.get_logger().warn(
+                    'transitions come faster than they are learned from and nobody answers '
+                    f'{self.settings.simulator}/pause: some are dropped',
+                    throttle_duration_sec=10.0)
         if not self._pausing and self._queue.qsize() > self.settings.queue_limit:
             self._set_pause(True)
 
