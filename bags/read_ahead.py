@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-import itertools
 import queue
 import threading
 
@@ -46,13 +45,20 @@ class ReadAhead:
         self._thread.join()
 
     def _read(self) -> None:
+        end: BaseException | None = None
+        batch: list[BagMessage] = []
         try:
-            while batch := list(itertools.islice(self._messages, BATCH)):
-                if not self._put(batch):
-                    return
-            self._put(None)
+            for message in self._messages:
+                batch.append(message)
+                if len(batch) == BATCH:
+                    if not self._put(batch):
+                        return
+                    batch = []
         except BaseException as error:
-            self._put(error)
+            end = error
+        # what was read before an error comes first
+        if self._put(batch):
+            self._put(end)
 
     def _put(self, item: list[BagMessage] | BaseException | None) -> bool:
         while not self._closed:

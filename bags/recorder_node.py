@@ -3,6 +3,7 @@
 """The recorder: every topic of the graph, as raw bytes, into a rosbag2 MCAP bag."""
 from __future__ import annotations
 
+from collections.abc import Sequence
 import contextlib
 import dataclasses
 import json
@@ -17,6 +18,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.callback_groups import CallbackGroup
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.subscription import Subscription
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from bags.errors import BagError
 from bags.live_qos import meets, recorded_qos, request_for
@@ -59,7 +61,19 @@ class _Source:
     subscription: Subscription
     number: int | None = None
     sequence: int = 0
-    publishers: int = 0
+    publishers: frozenset[bytes] = frozenset()
+
+    @property
+    def countable(self) -> bool:
+        """Return whether sequence numbers tell what was lost: only those of one publisher do."""
+        return len(self.publishers) == 1
+
+    def see(self, publishers: Sequence[TopicEndpointInfo]) -> None:
+        """Note who publishes; after a change the numbers begin anew."""
+        seen = frozenset(bytes(one.endpoint_gid) for one in publishers)
+        if seen != self.publishers:
+            self.publishers = seen
+            self.sequence = 0
 
 
 class BagRecorderNode(NodeShell):
@@ -191,17 +205,19 @@ class BagRecorderNode(NodeShell):
                 self.get_logger().error(
                     f'{name} is not recorded: its type {type_name} is not installed here')
             return
-        request = request_for(offered, self.settings.depth)
-        subscription = self.create_subscription(
-            kind, name, _unused, request, raw=True, callback_group=self._group,
-            event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False))
         with self._lock:
-            old = self._sources.get(name)
-            self._sources[name] = _Source(name, type_name, request, subscription)
-            if old is not None and old.type_name == type_name:
-                self._sources[name].number = old.number
+            old = self._sources.pop(name, None)
         if old is not None:
+            # DDS refuses a second type of one topic within a process
             self.destroy_subscription(old.subscription)
+        request = request_for(offered, self.settings.depth)
+        source = _Source(name, type_name, request, self.create_subscription(
+            kind, name, _unused, request, raw=True, callback_group=self._group,
+            event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False)))
+        if old is not None and old.type_name == type_name:
+            source.number = old.number
+        with self._lock:
+            self._sources[name] = source
 
     def _discover(self) -> None:
         """Subscribe to what is new, and again where a publisher does not fit the request."""
@@ -209,7 +225,7 @@ class BagRecorderNode(NodeShell):
             raise BagError(self._recording.error)
         fresh = []
         self._discoveries += 1
-        for name, types in self.get_topic_names_and_types():
+        for name, _ in self.get_topic_names_and_types():
             source = self._sources.get(name)
             if not self._wants(name) or name in self._unknown:
                 continue
@@ -221,7 +237,8 @@ class BagRecorderNode(NodeShell):
                 continue
             offered = recorded_qos(publishers)
             if source is not None:
-                source.publishers = len(publishers)
+                source.see(publishers)
+                types = {publisher.topic_type for publisher in publishers}
                 if source.type_name in types and all(
                         meets(source.request, profile) for profile in offered):
                     continue
@@ -277,8 +294,8 @@ class BagRecorderNode(NodeShell):
                 if source.number is None:
                     self._announce(source)
                 sequence = info['publication_sequence_number'] or 0
-                if sequence > source.sequence + 1 and source.sequence and source.publishers == 1:
-                    self._count_lost(source, sequence - source.sequence - 1)
+                if sequence != source.sequence + 1 and source.countable:
+                    self._check_gap(source, sequence)
                 source.sequence = sequence
                 batch.append((
                     info['received_timestamp'] or time.time_ns(), info['source_timestamp'],
@@ -287,11 +304,19 @@ class BagRecorderNode(NodeShell):
     def _announce(self, source: _Source) -> None:
         """Give a topic its place in the bag, with the QoS of its publishers."""
         publishers = self.get_publishers_info_by_topic(source.name)
-        source.publishers = len(publishers)
+        source.see(publishers)
         offered = recorded_qos(publishers) or [offered_qos()]
         source.number = self._recording.add_topic(source.name, source.type_name, offered)
 
-    def _count_lost(self, source: _Source, lost: int) -> None:
+    def _check_gap(self, source: _Source, sequence: int) -> None:
+        """Count what is missing before a message, if all came from one publisher."""
+        before = source.sequence
+        source.see(self.get_publishers_info_by_topic(source.name))
+        if not source.countable or not before or source.sequence != before:
+            return
+        lost = sequence - before - 1
+        if lost <= 0:
+            return
         self.counts[f'lost_{source.name}'] += lost
         self.get_logger().warn(
             f'{source.name}: {lost} messages were lost on the way to the recorder',

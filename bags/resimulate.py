@@ -21,7 +21,7 @@ from bags.decode import BundleDecoder
 from bags.frames import recorded_frames, RecordedFrame
 from bags.reader import BagReader
 from msgs_bridge.stamps import NANOSECONDS
-from msgs_bridge.topics import EPISODE
+from msgs_bridge.topics import EPISODE, STEP
 
 # of carracing_sim_node, when the bag's provenance does not say
 DEFAULT_SEED = 42
@@ -70,6 +70,8 @@ class Resimulator:
         self._namespace = namespace
         self._simulator = _simulator_settings(reader)
         self._seeds = _episode_seeds(reader, namespace)
+        self._frame_limit = int(
+            self._simulator.get('max_episode_frames') or _frame_limit(reader, namespace))
         self._variant: tuple[bool, bool, int] | None = None
         self._env: Any = None
         self._stream_at: int | None = None
@@ -127,8 +129,7 @@ class Resimulator:
         zoom, domain_randomize, early_end_frames = self._variant = variant
         self._env = make_env(
             zoom=zoom, domain_randomize=domain_randomize, early_end_frames=early_end_frames,
-            max_episode_steps=int(
-                self._simulator.get('max_episode_frames', DEFAULT_MAX_FRAMES)))
+            max_episode_steps=self._frame_limit)
         self._stream_at = None
 
     def _reset_in_stream(self, number: int) -> np.ndarray:
@@ -228,6 +229,18 @@ def _episode_seeds(reader: BagReader, namespace: str) -> dict[int, int]:
         if 'seed' in values:
             seeds[int(values['episode'])] = int(values['seed'])
     return seeds
+
+
+def _frame_limit(reader: BagReader, namespace: str) -> int:
+    """Return after how many frames episodes were cut off, as most of those cut off show it."""
+    name = find_topic(reader, STEP, namespace=namespace)
+    decoder = BundleDecoder()
+    limits: Counter[int] = Counter()
+    for message in reader.messages([name]) if name else ():
+        facts = decoder.decode(message.data, name).values_with(('truncated', 'step'))
+        if facts['truncated'] and not facts.get('ended_early', 0):
+            limits[int(facts['step'])] += 1
+    return limits.most_common(1)[0][0] if limits else DEFAULT_MAX_FRAMES
 
 
 def _simulator_settings(reader: BagReader) -> dict[str, Any]:

@@ -1,0 +1,303 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""Recorder and player as real processes over real DDS."""
+from collections import Counter
+import signal
+import subprocess
+import sys
+import time
+
+from bag_cases import read_all, record_drive
+from bags.errors import BagError
+from bags.reader import BagReader
+from bags.recover import recover_bag
+from bags.transitions import bag_transitions
+from bags.verify import verify_bag
+from geometry_msgs.msg import Twist
+from graph_probe import kill, ROOT, wait_for
+from mcap.reader import make_reader
+from msgs_bridge import topics
+from msgs_bridge.images import fill_image
+import numpy as np
+import pytest
+from rclpy.qos import DurabilityPolicy, qos_profile_sensor_data, QoSProfile
+from rclpy.serialization import deserialize_message
+from rosbags.rosbag2 import Reader, StoragePlugin, Writer
+from rosbags.typesys import get_typestore, Stores
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import Image, JointState
+from std_msgs.msg import Float32, String
+from std_srvs.srv import SetBool, Trigger
+
+RECORDER = ('bags.recorder_node', 'bag_recorder_node')
+PLAYER = ('bags.player_node', 'bag_player_node')
+SIM = ('carracing_sim_node', 'carracing_sim_node')
+POLICY = ('dqn_policy_node', 'dqn_policy_node')
+
+
+def start_recorder(graph, folder, **parameters):
+    child = graph.node(*RECORDER, folder=str(folder), **parameters)
+    wait_for(lambda: any('recording' in line for line in child.words), 10, 'recording')
+    return child
+
+
+def stop(child, number=signal.SIGTERM):
+    began = time.monotonic()
+    child.process.send_signal(number)
+    code = child.process.wait(5)
+    assert time.monotonic() - began < 2
+    return code
+
+
+def drive(graph, **options):
+    graph.listen(topics.EPISODE, topics.STEP)
+    graph.node(*POLICY, model='random')
+    graph.node(*SIM, seed=11, seed_each_episode=True, wait_for_subscribers=1, **options)
+
+
+def test_everything_a_drive_publishes_is_in_the_bag_to_the_byte(graph, tmp_path):
+    recorder = start_recorder(graph, tmp_path / 'bag', provenance='{"simulator": '
+                              '{"max_episode_frames": 60, "seed": 11}, "model": "random"}')
+    drive(graph, max_episode_frames=60, episodes=3)
+    graph.spin_until(lambda: len(graph.messages['episode']) == 3
+                     and len(graph.messages['step']) == 3 * 61, 30, 'three episodes')
+    assert stop(recorder) == 0
+    assert any('lost: none' in line for line in recorder.words), recorder.words
+    space = f'/{graph.namespace}'
+    with BagReader(tmp_path / 'bag') as reader:
+        found = verify_bag(reader)
+        assert found.good, found.problems
+        assert found.resimulation.frames == 3 * 61
+        assert found.transitions == {'joined': 180}
+        assert reader.custom_data['model'] == 'random'
+        for name in ('image_raw', 'step', 'reward'):
+            assert reader.topics[f'{space}/{name}'].message_count == 3 * 61
+        qos, = reader.topics[f'{space}/episode'].qos
+        assert (qos['durability'], qos['reliability']) == ('transient_local', 'reliable')
+        assert '/rosout' in reader.topics
+        stamped = read_all(reader)
+    times = [one[1] for one in stamped]
+    assert times == sorted(times)
+    assert all(publish <= log for _, log, publish, _ in stamped)
+    recorded = [deserialize_message(data, JointState) for name, _, _, data in stamped
+                if name == f'{space}/step']
+    assert recorded == graph.messages['step']
+    with Reader(tmp_path / 'bag') as reader:
+        assert sum(1 for _ in reader.messages()) == len(stamped)
+    with (tmp_path / 'bag' / 'bag_0.mcap').open('rb') as file:
+        found = make_reader(file, validate_crcs=True).iter_messages()
+        assert [(channel.topic, message.log_time, message.publish_time, message.data)
+                for _, channel, message in found] == stamped
+
+
+def test_a_killed_recorder_leaves_all_but_the_last_second(graph, tmp_path):
+    recorder = start_recorder(graph, tmp_path / 'bag', chunk_seconds=0.2)
+    began = time.monotonic()
+    drive(graph, max_episode_frames=200)
+    graph.spin_until(lambda: len(graph.messages['step']) > 300, 30, 'steps')
+    kill(recorder)
+    graph.spin(0.0)
+    before = len(graph.messages['step'])
+    with pytest.raises(BagError, match='carracing bag recover'):
+        BagReader(tmp_path / 'bag')
+    recovery = recover_bag(tmp_path / 'bag', tmp_path / 'out')
+    with BagReader(tmp_path / 'out') as reader:
+        kept = reader.topics[f'/{graph.namespace}/step'].message_count
+        found = verify_bag(reader)
+    assert found.good, found.problems
+    assert recovery.messages > 4 * kept
+    # a chunk every 0.2 s, on a machine that may be busy: well within the second that is allowed
+    rate = len(graph.messages['step']) / (time.monotonic() - began)
+    assert before - kept <= rate
+    assert found.transitions['joined'] >= kept - 3
+
+
+def test_a_played_bag_records_into_the_same_transitions(graph, tmp_path):
+    bag = record_drive(tmp_path / 'source', decisions=50, namespace=f'/{graph.namespace}')
+    expected = list(bag_transitions([bag]))
+    recorder = start_recorder(graph, tmp_path / 'again')
+    player = graph.node(*PLAYER, bag=str(bag), rate=3.0, wait_for_subscribers=10.0)
+    assert player.process.wait(30) == 0
+    wait_for(lambda: any('messages played' in line for line in player.words), 5, 'the end')
+    assert any('timing error p50' in line for line in player.words)
+    assert stop(recorder, signal.SIGINT) == 0
+    counts = Counter()
+    found = list(bag_transitions([tmp_path / 'again'], counts=counts))
+    assert {name: count for name, count in counts.items() if count} == {'joined': 100}
+    for one, other in zip(found, expected, strict=True):
+        assert (one.stamp, one.next_stamp, one.action, one.facts, one.previous_facts) == (
+            other.stamp, other.next_stamp, other.action, other.facts, other.previous_facts)
+        assert np.array_equal(one.frame, other.frame)
+        assert np.array_equal(one.next_frame, other.next_frame)
+    with BagReader(bag) as source, BagReader(tmp_path / 'again') as again:
+        name = f'/{graph.namespace}/q_values'
+        assert [bytes(one.data) for one in source.messages([name])] == [
+            bytes(one.data) for one in again.messages([name])]
+        assert again.topics[f'/{graph.namespace}/episode'].qos[0][
+            'durability'] == 'transient_local'
+
+
+def test_nothing_is_lost_at_600_decisions_a_second(graph, tmp_path):
+    recorder = start_recorder(graph, tmp_path / 'bag')
+    published = (topics.IMAGE, topics.STEP, topics.REWARD, topics.CMD_VEL, topics.Q_VALUES)
+    publishers = [graph.publisher(topic) for topic in published]
+    wait_for(lambda: all(one.get_subscription_count() for one in publishers), 10, 'recorder')
+    image = fill_image(Image(), np.zeros((96, 96, 3), np.uint8), 1, 'car')
+    bundle = JointState(name=[f'value {number}' for number in range(26)], position=[0.0] * 26)
+    messages = [image, bundle, Float32(), graph_twist(), bundle]
+    began = time.monotonic()
+    for number in range(900):
+        for publisher, message in zip(publishers, messages):
+            publisher.publish(message)
+        time.sleep(max(0.0, began + number / 600 - time.monotonic()))
+    time.sleep(0.3)
+    assert stop(recorder) == 0
+    assert any('lost: none' in line for line in recorder.words), recorder.words
+    with BagReader(tmp_path / 'bag') as reader:
+        for topic in published:
+            assert reader.topics[f'/{graph.namespace}/{topic.name}'].message_count == 900
+
+
+def graph_twist():
+    from geometry_msgs.msg import TwistStamped
+    return TwistStamped()
+
+
+def test_topics_of_any_type_and_qos_are_recorded_as_they_appear(graph, tmp_path):
+    recorder = start_recorder(graph, tmp_path / 'bag')
+    space = f'/{graph.namespace}'
+    # another camera, best effort; plain twists; a topic nobody knew; one latched before
+    camera = graph.probe.create_publisher(Image, 'image_raw', qos_profile_sensor_data)
+    twists = graph.probe.create_publisher(Twist, 'cmd_vel', 10)
+    words = graph.probe.create_publisher(String, 'words', 10)
+    latched = graph.probe.create_publisher(
+        String, 'latched', QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+    hidden = graph.probe.create_publisher(String, '_hidden', 10)
+    latched.publish(String(data='still here'))
+    publishers = (camera, twists, words, latched)
+    wait_for(lambda: all(one.get_subscription_count() for one in publishers), 10, 'recorder')
+    camera.publish(Image())
+    twists.publish(Twist())
+    words.publish(String(data='hello'))
+    hidden.publish(String(data='not for bags'))
+    time.sleep(0.4)
+    assert stop(recorder) == 0
+    with BagReader(tmp_path / 'bag') as reader:
+        assert reader.problems == []
+        counts = {name: topic.message_count for name, topic in reader.topics.items()
+                  if name.startswith(space)}
+        assert counts == {f'{space}/{name}': 1
+                          for name in ('image_raw', 'cmd_vel', 'words', 'latched')}
+        assert reader.topics[f'{space}/image_raw'].qos[0]['reliability'] == 'best_effort'
+        assert reader.topics[f'{space}/cmd_vel'].type_name == 'geometry_msgs/msg/Twist'
+        message, = reader.messages([f'{space}/words'])
+        assert deserialize_message(bytes(message.data), String).data == 'hello'
+
+
+def test_only_the_topics_asked_for_are_recorded(graph, tmp_path):
+    recorder = start_recorder(graph, tmp_path / 'bag', topics='words, step, never')
+    words = graph.probe.create_publisher(String, 'words', 10)
+    other = graph.probe.create_publisher(String, 'other', 10)
+    steps = graph.publisher(topics.STEP)
+    wait_for(lambda: words.get_subscription_count() and steps.get_subscription_count(), 10,
+             'recorder')
+    for publisher, message in ((words, String()), (other, String()), (steps, JointState())):
+        publisher.publish(message)
+    time.sleep(0.3)
+    assert stop(recorder) == 0
+    space = f'/{graph.namespace}'
+    assert any(f'never seen: {space}/never' in line for line in recorder.words)
+    with BagReader(tmp_path / 'bag') as reader:
+        assert set(reader.topics) == {f'{space}/words', f'{space}/step'}
+
+
+def sqlite_bag(folder, space):
+    types = get_typestore(Stores.ROS2_JAZZY)
+    with Writer(folder, version=8, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        connection = writer.add_connection(
+            f'{space}/words', 'std_msgs/msg/String', typestore=types)
+        for number in range(20):
+            text = types.types['std_msgs/msg/String'](f'word {number}')
+            writer.write(connection, 10 ** 9 + number * 10 ** 7,
+                         types.serialize_cdr(text, 'std_msgs/msg/String'))
+
+
+def test_a_sqlite3_bag_written_by_rosbags_is_read_and_played_remapped(graph, tmp_path):
+    space = f'/{graph.namespace}'
+    sqlite_bag(tmp_path / 'bag', space)
+    with BagReader(tmp_path / 'bag') as reader:
+        assert (reader.storage, reader.message_count) == ('sqlite3', 20)
+        assert (reader.start_time, reader.end_time) == (10 ** 9, 10 ** 9 + 19 * 10 ** 7)
+        assert len(list(reader.messages(start=10 ** 9 + 10 ** 8))) == 10
+        assert verify_bag(reader).good
+    heard = []
+    graph.probe.create_subscription(String, 'spoken', heard.append, 100)
+    player = graph.node(*PLAYER, bag=str(tmp_path / 'bag'), wait_for_subscribers=10.0,
+                        remaps=f'{space}/words:={space}/spoken')
+    graph.spin_until(lambda: len(heard) == 20, 10, 'words')
+    assert [one.data for one in heard] == [f'word {number}' for number in range(20)]
+    assert player.process.wait(5) == 0
+
+
+def test_offset_duration_loop_and_clock(graph, tmp_path):
+    space = f'/{graph.namespace}'
+    sqlite_bag(tmp_path / 'bag', space)
+    heard, clocks = [], []
+    graph.probe.create_subscription(String, 'words', heard.append, 1000)
+    graph.probe.create_subscription(Clock, '/clock', clocks.append, 1000)
+    player = graph.node(*PLAYER, bag=str(tmp_path / 'bag'), wait_for_subscribers=10.0,
+                        start_offset=0.05, duration=0.1, loop=True, clock_rate=100.0)
+    graph.spin_until(lambda: len(heard) >= 25, 10, 'three rounds')
+    assert [one.data for one in heard[:25]] == [f'word {5 + number % 10}'
+                                                for number in range(25)]
+    stamps = [one.clock.sec * 10 ** 9 + one.clock.nanosec for one in clocks]
+    assert stamps
+    assert all(10 ** 9 + 5e7 <= stamp <= 10 ** 9 + 15e7 for stamp in stamps)
+    assert stop(player) == 0
+
+
+def test_pause_and_step_services(graph, tmp_path):
+    space = f'/{graph.namespace}'
+    sqlite_bag(tmp_path / 'bag', space)
+    heard = []
+    graph.probe.create_subscription(String, 'words', heard.append, 100)
+    player = graph.node(*PLAYER, bag=str(tmp_path / 'bag'), wait_for_subscribers=10.0,
+                        start_paused=True)
+    step = graph.probe.create_client(Trigger, 'bag_player_node/step')
+    pause = graph.probe.create_client(SetBool, 'bag_player_node/pause')
+    for client in (step, pause):
+        graph.spin_until(client.service_is_ready, 10, 'service')
+    graph.spin(0.2)
+    assert heard == []
+    for expected in (['word 0'], ['word 0', 'word 1']):
+        future = step.call_async(Trigger.Request())
+        graph.spin_until(future.done, 5, 'answer')
+        assert future.result().success
+        graph.spin_until(lambda so_far=expected: len(heard) == len(so_far), 5, 'one word')
+        assert [one.data for one in heard] == expected
+    future = pause.call_async(SetBool.Request(data=False))
+    graph.spin_until(future.done, 5, 'answer')
+    graph.spin_until(lambda: len(heard) == 20, 5, 'the rest')
+    assert player.process.wait(5) == 0
+
+
+@pytest.mark.parametrize(('module', 'parameters', 'told'), [
+    (RECORDER[0], ['folder:={folder}'], 'exists already; nothing was overwritten'),
+    (RECORDER[0], ['folder:={folder}/new', 'compression:=gzip'], "accepted: one of 'none'"),
+    (RECORDER[0], ['folder:={folder}/new', 'chunk_bytes:=3'], 'accepted: 1024 to'),
+    (RECORDER[0], ['folder:={folder}/new', 'provenance:=text'], 'provenance is not JSON'),
+    (RECORDER[0], ['folder:={folder}/new', 'compresion:=lz4'], "did you mean 'compression'"),
+    (PLAYER[0], ['bag:={folder}/none'], 'does not exist'),
+    (PLAYER[0], ['bag:={folder}'], 'has no metadata.yaml'),
+    (PLAYER[0], ['rate:=1.0'], 'no bag was given'),
+])
+def test_what_is_wrong_ends_the_node_with_one_line(tmp_path, module, parameters, told):
+    command = [sys.executable, '-m', module, '--ros-args']
+    for parameter in parameters:
+        command += ['-p', parameter.format(folder=tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=20, cwd=ROOT)
+    assert done.returncode == 2
+    assert done.stderr.startswith('error: ')
+    assert told in done.stderr
+    assert done.stderr.count('\n') == 1
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,166 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""When which message is due: pace, pause, step, clock, reading ahead; without ROS."""
+import threading
+import time
+
+from bags.errors import BagError
+from bags.playback import Playback
+from bags.read_ahead import ReadAhead
+from bags.reader import BagMessage
+from bags.recording import Recording
+from bags.writer import BagWriter
+import pytest
+
+MILLISECOND = 1_000_000
+
+
+def messages(count, period=10 * MILLISECOND, start=10 ** 18):
+    return [BagMessage('/x', start + number * period, 0, b'') for number in range(count)]
+
+
+def in_thread(playback, items):
+    thread = threading.Thread(target=playback.play, args=(items,), daemon=True)
+    thread.start()
+    return thread
+
+
+def test_messages_are_published_when_they_are_due():
+    times = []
+    playback = Playback(lambda message: times.append(time.monotonic()))
+    playback.play(messages(31))
+    assert len(times) == playback.played == 31
+    assert times[-1] - times[0] == pytest.approx(0.3, abs=0.05)
+    middle, worst, most = playback.timing_error()
+    assert 0 <= middle <= worst <= most
+    # a busy machine may be late, but not by as much as the messages are apart
+    assert middle < 0.005
+
+
+def test_rate_changes_the_pace_and_zero_means_no_pace():
+    for rate, seconds in ((4.0, 0.1), (0.0, 0.0)):
+        playback = Playback(lambda message: None, rate=rate)
+        began = time.monotonic()
+        playback.play(messages(41))
+        assert time.monotonic() - began == pytest.approx(seconds, abs=0.05)
+        assert len(playback.late) == (41 if rate else 0)
+
+
+def test_rate_can_change_while_playing():
+    playback = Playback(lambda message: None, rate=0.1)
+    thread = in_thread(playback, messages(100))
+    time.sleep(0.15)
+    before = playback.played
+    assert before < 5
+    playback.set_rate(100.0)
+    thread.join(2)
+    assert not thread.is_alive()
+    assert playback.played == 100
+    assert playback.timing_error()[1] < 0.05
+
+
+def test_pause_and_step():
+    seen = []
+    playback = Playback(seen.append, rate=10.0, paused=True)
+    thread = in_thread(playback, messages(20))
+    time.sleep(0.05)
+    assert seen == []
+    for number in range(1, 4):
+        assert playback.step()
+        deadline = time.monotonic() + 1
+        while len(seen) < number and time.monotonic() < deadline:
+            time.sleep(0.005)
+        time.sleep(0.02)
+        assert len(seen) == number
+    playback.pause(False)
+    assert not playback.step()
+    thread.join(2)
+    assert seen == messages(20)
+    # what waited during the pause is not late, it is due when playing goes on
+    assert playback.timing_error()[2] < 0.05
+
+
+def test_stop_ends_a_long_wait_at_once():
+    playback = Playback(lambda message: None)
+    thread = in_thread(playback, messages(2, period=3600 * 10 ** 9))
+    time.sleep(0.05)
+    began = time.monotonic()
+    playback.stop()
+    thread.join(1)
+    assert not thread.is_alive()
+    assert time.monotonic() - began < 0.2
+    assert playback.played == 1
+
+
+def test_clock_ticks_between_messages_and_stands_while_paused():
+    ticks = []
+    playback = Playback(lambda message: None, rate=2.0, clock_rate=100.0,
+                        publish_clock=ticks.append)
+    items = messages(3, period=200 * MILLISECOND)
+    thread = in_thread(playback, items)
+    thread.join(2)
+    assert len(ticks) == pytest.approx(20, abs=6)
+    assert ticks == sorted(ticks)
+    assert items[0].log_time <= ticks[0]
+    assert ticks[-1] <= items[-1].log_time + 20 * MILLISECOND
+    steps = [(later - earlier) / MILLISECOND for earlier, later in zip(ticks, ticks[1:])]
+    assert sorted(steps)[len(steps) // 2] == pytest.approx(20, abs=8)
+    playback.now = 77
+    playback.pause(True)
+    ticks.clear()
+    thread = in_thread(playback, items)
+    time.sleep(0.1)
+    playback.stop()
+    thread.join(1)
+    assert len(ticks) > 3
+    assert set(ticks) == {77}
+
+
+def test_reading_ahead_gives_everything_in_order_and_then_the_error():
+    def source():
+        yield from messages(1000)
+        raise BagError('the chunk is damaged')
+    seen = []
+    ahead = ReadAhead(source())
+    with pytest.raises(BagError, match='damaged'):
+        for message in ahead:
+            seen.append(message)
+    assert seen == messages(1000)
+    ahead.close()
+
+
+def test_reading_ahead_is_bounded_and_ends_when_nobody_wants_more():
+    read = []
+
+    def source():
+        for message in messages(100_000):
+            read.append(1)
+            yield message
+    ahead = ReadAhead(source())
+    iterator = iter(ahead)
+    next(iterator)
+    time.sleep(0.3)
+    assert len(read) <= 5 * 256
+    ahead.close()
+    assert len(read) <= 5 * 256
+
+
+class SlowWriter(BagWriter):
+    """A disk that takes its time."""
+
+    def write(self, *arguments):
+        time.sleep(0.01)
+        super().write(*arguments)
+
+
+def test_a_full_cache_is_said_and_nothing_is_dropped(tmp_path):
+    recording = Recording(SlowWriter(tmp_path / 'bag'), cache_bytes=5000)
+    topic = recording.add_topic('/x', 'std_msgs/msg/Float32', [])
+    for number in range(20):
+        recording.put([(number, number, topic, bytes(1000))])
+    assert recording.full
+    assert recording.peak_bytes >= 5000
+    recording.close()
+    assert not recording.full
+    assert recording.writer.message_count == 20
+    assert recording.lost == 0
