@@ -9,12 +9,12 @@ from pathlib import Path
 import tempfile
 import time
 
+from bringup.models import action_repeat, RANDOM
 from bringup.monitor import Monitor
 from bringup.processes import node_command, ProcessGroup
 from bringup.provenance import provenance_text
 from msgs_bridge.errors import BridgeError
 
-RANDOM = 'random'
 LAST_SUMMARY_SECONDS = 2.0
 """How long the last episode summary may take after the simulator has ended."""
 
@@ -35,7 +35,7 @@ def run_graph(model: str, seeds: range, bag: Path | None) -> Iterator[dict[str, 
         raise BridgeError(f'{bag} exists already; choose another folder for the bag')
     simulator: dict[str, object] = {
         'seed': seeds.start, 'seed_each_episode': True, 'episodes': len(seeds),
-        'action_repeat': _action_repeat(model),
+        'action_repeat': action_repeat(model),
         'wait_for_subscribers': 0 if bag is None else 1,
     }
     policy: dict[str, object] = {'model': model, 'hot_swap': False}
@@ -70,11 +70,3 @@ def _summaries(
         if give_up_at is not None and time.monotonic() > give_up_at:
             return
         time.sleep(0.02)
-
-
-def _action_repeat(model: str) -> int:
-    """Return how many frames the simulator may drive by one twist."""
-    if model == RANDOM:
-        return 1
-    from dqn_policy_node.model_folder import load_model
-    return load_model(model).description.action_repeat

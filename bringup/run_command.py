@@ -10,15 +10,13 @@ import signal
 import time
 
 from bringup.display import Display
+from bringup.models import action_repeat, choose_model
 from bringup.monitor import GraphState, Monitor
 from bringup.processes import node_command, ProcessGroup
 from bringup.provenance import provenance_text
-from dqn_policy_node.share import find_model
 from msgs_bridge.errors import BridgeError
 from rich.console import Console
 from rich.table import Table
-
-DEFAULT_MODELS = ('racing', 'report', 'random')
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -60,25 +58,6 @@ def refuse_second_simulator(monitor: Monitor) -> None:
                 'a simulator runs on this ROS domain already; stop it, or use --namespace or '
                 'another ROS_DOMAIN_ID')
         time.sleep(0.1)
-
-
-def choose_model(name: str | None) -> str:
-    """
-    Return the model to drive with, as the policy node takes it.
-
-    Raises:
-        BridgeError: the model asked for is not there.
-    """
-    if name == 'random':
-        return name
-    if name is not None:
-        return str(find_model(name))
-    for candidate in DEFAULT_MODELS:
-        try:
-            return str(find_model(candidate))
-        except BridgeError:
-            continue
-    return 'random'
 
 
 def new_folder(path: Path | None, prefix: str) -> Path:
@@ -170,15 +149,11 @@ def drive(
     arguments: argparse.Namespace, model: str, folder: Path, monitor: Monitor, console: Console,
 ) -> bool:
     """Run the nodes until the simulator has driven its laps; return whether it was stopped."""
-    action_repeat = 1
-    if model != 'random':
-        from dqn_policy_node.model_folder import load_model
-        action_repeat = load_model(model).description.action_repeat
     simulator = {
         'seed': arguments.seed, 'seed_each_episode': True, 'episodes': arguments.laps,
         'stepping': 'real_time' if arguments.real_time else 'lockstep',
         # in real time every frame is shown; in lockstep only those the policy decides on
-        'action_repeat': 1 if arguments.real_time else action_repeat,
+        'action_repeat': 1 if arguments.real_time else action_repeat(model),
         'wait_for_subscribers': 0 if arguments.no_bag else 1,
     }
     policy = {'model': model}
