@@ -3,6 +3,8 @@
 """One safetensors file with everything of a run, written whole or not at all."""
 from __future__ import annotations
 
+from collections.abc import Iterator
+import contextlib
 import json
 from pathlib import Path
 from typing import Any
@@ -46,13 +48,9 @@ def write_checkpoint(
             file.write(np.ascontiguousarray(array).reshape(-1).view(np.uint8).data)
 
 
-def read_checkpoint(path: Path | str) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """
-    Read what `write_checkpoint` wrote.
-
-    Raises:
-        RunError: the file is missing, cut off or no checkpoint.
-    """
+@contextlib.contextmanager
+def _opened(path: Path | str) -> Iterator[tuple[Any, dict[str, Any]]]:
+    """Open a checkpoint and hand on file and state; whatever is wrong is a RunError."""
     path = Path(path)
     if not path.is_file():
         raise RunError(f'{path}: no such checkpoint')
@@ -60,13 +58,23 @@ def read_checkpoint(path: Path | str) -> tuple[dict[str, np.ndarray], dict[str, 
         with safetensors.safe_open(path, 'np') as file:
             metadata = file.metadata() or {}
             if metadata.get('format') != FORMAT:
-                raise RunError(f'{path}: not a {FORMAT}')
-            arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-        return arrays, json.loads(metadata['state'])
+                raise RunError(f'{path}: damaged, or not a {FORMAT}')
+            yield file, json.loads(metadata['state'])
     except (safetensors.SafetensorError, ValueError, KeyError, OSError) as error:
         if isinstance(error, RunError):
             raise
         raise RunError(f'{path}: damaged checkpoint: {error}') from None
+
+
+def read_checkpoint(path: Path | str) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """
+    Read what `write_checkpoint` wrote.
+
+    Raises:
+        RunError: the file is missing, cut off or no checkpoint.
+    """
+    with _opened(path) as (file, state):
+        return {name: file.get_tensor(name) for name in file.keys()}, state  # noqa: SIM118
 
 
 def read_state(path: Path | str) -> dict[str, Any]:
@@ -76,11 +84,5 @@ def read_state(path: Path | str) -> dict[str, Any]:
     Raises:
         RunError: the file is missing, cut off or no checkpoint.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise RunError(f'{path}: no such checkpoint')
-    try:
-        with safetensors.safe_open(path, 'np') as file:
-            return json.loads((file.metadata() or {})['state'])
-    except (safetensors.SafetensorError, ValueError, KeyError, OSError) as error:
-        raise RunError(f'{path}: damaged checkpoint: {error}') from None
+    with _opened(path) as (_, state):
+        return state
