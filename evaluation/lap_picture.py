@@ -14,7 +14,7 @@ import gymnasium
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colorbar import Colorbar
-from matplotlib.colors import Colormap, LinearSegmentedColormap, TwoSlopeNorm
+from matplotlib.colors import Colormap, LinearSegmentedColormap, Normalize, TwoSlopeNorm
 from matplotlib.figure import Figure
 from msgs_bridge.atomic_write import write_bytes
 import numpy as np
@@ -25,6 +25,8 @@ ROAD = '#dcdcdc'
 MISSED = '#f5b8d8'
 COSTS = -5.0
 """Reward in points a second when no tile is new: 50 frames at -0.1."""
+FULL_SPEED = 100.0
+"""Speed in m/s that the scale reaches at least, so that laps can be compared by colour."""
 
 # losing in one hue and earning in another, none of them as pale as the road
 _LOSS_AND_GAIN = LinearSegmentedColormap.from_list('loss and gain', (
@@ -47,7 +49,8 @@ def lap_picture(trajectory: Trajectory, *, phone: bool = False) -> Figure:
         figure.suptitle(lap_title(trajectory.lap), fontsize=10.5 if stacked else 12,
                         fontweight='bold', wrap=True)
         speed_axes, reward_axes = figure.subplots(*((2, 1) if stacked else (1, 2)))
-        _map(figure, speed_axes, trajectory, trajectory.speed, 'Speed', 'm/s', 'viridis', None)
+        scale = Normalize(0.0, max(FULL_SPEED, float(trajectory.speed.max())))
+        _map(figure, speed_axes, trajectory, trajectory.speed, 'Speed', 'm/s', 'viridis', scale)
         rate = trajectory.reward_rate
         limits = TwoSlopeNorm(vmin=COSTS, vcenter=0.0, vmax=max(1.0, float(rate.max())))
         bar = _map(figure, reward_axes, trajectory, rate, 'Reward', 'points/s', _LOSS_AND_GAIN,
@@ -105,7 +108,7 @@ def drive_and_draw(env: gymnasium.Env, policy: Policy, seed: int, folder: Path |
 
 def _map(
     figure: Figure, axes: Axes, trajectory: Trajectory, values: np.ndarray, title: str,
-    unit: str, colours: str | Colormap, norm: TwoSlopeNorm | None,
+    unit: str, colours: str | Colormap, norm: Normalize,
 ) -> Colorbar:
     """Draw the track and the way of the car, coloured by one value a frame."""
     left, right = trajectory.left_edge, trajectory.right_edge
@@ -157,7 +160,7 @@ def _marks(axes: Axes, trajectory: Trajectory) -> None:
                   label='left the road', **edge)
     if trajectory.lap.standing_still > STOPPED_FRAMES:
         axes.plot(*way[-trajectory.lap.standing_still], marker='s', markersize=10,
-                  color=style.PURPLE, label='stopped', **edge)
+                  color=style.BLUE, label='stopped', **edge)
     if not trajectory.visited.all():
         axes.plot([], [], marker='s', markersize=9, color=MISSED, linestyle='none',
                   label='tile not visited')

@@ -13,7 +13,7 @@ from typing import Any
 from evaluation.comparison import compare, judge
 from evaluation.errors import EvaluationError
 from evaluation.figure_style import save_figure
-from evaluation.laps import drive_laps
+from evaluation.laps import drive_laps, Lap
 from evaluation.policies import MODEL, PolicySource, RANDOM
 from evaluation.records import add_results, load_run, Run
 from evaluation.report_page import lap_pictures, make_pictures, markdown, render
@@ -143,11 +143,23 @@ def _trajectories(
             console.print(f'driving track {seed} to draw it', highlight=False)
             env = make_simulator('fast')
             try:
-                yield heading, drive_trajectory(env, policy, seed)
+                trajectory = drive_trajectory(env, policy, seed)
             finally:
                 env.close()
+            _compare_with_record(run, trajectory.lap)
+            yield heading, trajectory
     except BridgeError as error:
         run.problems.append(f'No laps are shown: {error}.')
+
+
+def _compare_with_record(run: Run, lap: Lap) -> None:
+    """Note when a lap is not what the evaluation has of the same track."""
+    known = run.evaluation.laps.get(lap.seed) if run.evaluation is not None else None
+    if known is not None and known != lap:
+        run.problems.append(
+            f'Track {lap.seed} was {known.episode_return:.1f} points in the evaluation and is '
+            f'{lap.episode_return:.1f} now: the model or the settings are not those of the '
+            'evaluation.')
 
 
 def _interesting_laps(run: Run, count: int) -> list[tuple[str, int]]:

@@ -10,8 +10,9 @@ from xml.etree import ElementTree
 from bringup.command import main as carracing
 from evaluation.figures import draw, FIGURES, NothingToShow
 from evaluation.records import load_run, Run
+from evaluation.report_command import _compare_with_record
 from evaluation.report_page import make_pictures, markdown, Picture, render
-from evaluation_cases import write_run
+from evaluation_cases import lap, write_run
 import numpy as np
 import pytest
 
@@ -161,3 +162,12 @@ def test_a_model_that_cannot_be_used_is_a_problem_and_no_end(tmp_path, capsys, n
     (run / 'best' / 'model.json').write_text('{}')
     assert carracing(['report', str(run)]) == 0
     assert 'No laps are shown' in capsys.readouterr().out
+
+
+def test_laps_of_another_model_than_the_evaluation_are_noticed(tmp_path):
+    run = load_run(whole_run(tmp_path / 'run'))
+    _compare_with_record(run, run.evaluation.laps[100_001])
+    _compare_with_record(run, lap(1, 5))
+    assert run.problems == []
+    _compare_with_record(run, lap(100_001, 500))
+    assert 'Track 100001 was 910.0 points in the evaluation and is 500.0 now' in run.problems[0]
