@@ -33,6 +33,9 @@ from msgs_bridge.topics import TOPICS
 # the executor's wait set does, so looking at 50 Hz instead of at every message saves most of it.
 POLL_SECONDS = 0.02
 DISCOVERY_SECONDS = 0.2
+# looks at the graph after which, if nothing was new, only every fifth is made
+BUSY_DISCOVERIES = 50
+CALM = 5
 # seconds without a message after which a stopped recorder believes that nothing more comes
 QUIET_SECONDS = 0.06
 STOP_SECONDS = 0.6
@@ -225,12 +228,14 @@ class BagRecorderNode(NodeShell):
             raise BagError(self._recording.error)
         fresh = []
         self._discoveries += 1
+        if self._discoveries > BUSY_DISCOVERIES and self._discoveries % CALM:
+            return
         for name, _ in self.get_topic_names_and_types():
             source = self._sources.get(name)
             if not self._wants(name) or name in self._unknown:
                 continue
             # new publishers of a topic already recorded need not be noticed at once
-            if source is not None and source.number is not None and self._discoveries % 5:
+            if source is not None and source.number is not None and self._discoveries % CALM:
                 continue
             publishers = self.get_publishers_info_by_topic(name)
             if not publishers:
@@ -243,6 +248,7 @@ class BagRecorderNode(NodeShell):
                         meets(source.request, profile) for profile in offered):
                     continue
             self._subscribe(name, publishers[0].topic_type, offered)
+            self._discoveries = 0
             fresh.append(name)
         if fresh:
             self.get_logger().info(f'recording {", ".join(sorted(fresh))}')

@@ -46,6 +46,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog='bench_bags', description=__doc__)
     parser.add_argument('--decisions', type=int, default=DECISIONS,
                         help=f'decisions in the bag (default {DECISIONS})')
+    parser.add_argument('--recorder', action='store_true',
+                        help='measure what the recorder takes off a lockstep run, too')
     parser.add_argument('--json', metavar='FILE', help='write the figures there too')
     options = parser.parse_args(arguments)
     figures: dict[str, Any] = {'decisions': options.decisions, 'write': {}, 'read': {}}
@@ -60,6 +62,13 @@ def main(arguments: list[str] | None = None) -> int:
         figures['play'] = bench_play(Path(folder, 'lz4'), PLAY_PERIOD_NS / FRAME_NS)
         show(f'playback at {1e9 / PLAY_PERIOD_NS:.0f} decisions/s: timing error '
              f'p50 {figures["play"]["p50_ms"]:.3f} ms, p99 {figures["play"]["p99_ms"]:.3f} ms')
+        if options.recorder:
+            from benchmarks.recorder_cost import recorder_cost
+            cost = figures['recorder'] = recorder_cost(Path(folder))
+            show(f'lockstep with the recorder {cost["decisions_per_second_with"]:.0f} '
+                 f'decisions/s, without {cost["decisions_per_second_without"]:.0f}: it takes '
+                 f'{cost["cost_percent"]:.1f} %, {cost["recorder_cpu_percent"]:.1f} % of a core, '
+                 f'{cost["steps_missing"]} steps missing')
     if options.json:
         Path(options.json).write_text(json.dumps(figures, indent=2) + '\n', encoding='utf-8')
     return 0

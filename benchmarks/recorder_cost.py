@@ -1,0 +1,152 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What the recorder takes off the decisions per second of a lockstep run.
+
+Simulator and random policy run all the time, which is the fastest lockstep run there is; a
+recorder comes and goes, so that with and without alternate within one run.
+"""
+from __future__ import annotations
+
+from collections import Counter
+import os
+from pathlib import Path
+import signal
+import statistics
+import subprocess
+import sys
+import time
+from typing import Any
+
+from bags.reader import BagReader
+from msgs_bridge.topics import STEP
+
+# seconds that a recorder has to start and to settle, or to be gone
+SETTLE = 2.5
+STOP_SECONDS = 5.0
+START_SECONDS = 60.0
+# below the ports that Linux hands out, and above what people use
+DOMAIN = 97
+
+
+def recorder_cost(folder: Path, *, rounds: int = 6, seconds: float = 6.0) -> dict[str, Any]:
+    """
+    Return decisions/s with and without a recorder, and what the recorder lost and needed.
+
+    Args:
+        folder: for the bags.
+        rounds: with and without, each.
+        seconds: length of one measurement.
+    """
+    os.environ['ROS_DOMAIN_ID'] = str(DOMAIN)
+    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    simulator = _start('carracing_sim_node.node', seed=42)
+    policy = _start('dqn_policy_node.node', model='random')
+    rates: dict[str, list[float]] = {'without': [], 'with': []}
+    cpu, lost, messages = [], 0, 0
+    counter = _StepCounter()
+    try:
+        deadline = time.monotonic() + START_SECONDS
+        while not counter.rate(SETTLE) > 0:
+            if time.monotonic() > deadline:
+                raise TimeoutError(f'the simulator did not drive within {START_SECONDS:.0f} s')
+        for number in range(rounds):
+            rates['without'].append(counter.rate(seconds))
+            bag = folder / f'round_{number}'
+            recorder = _start('bags.recorder_node', folder=str(bag))
+            counter.rate(SETTLE)
+            before = _cpu_seconds(recorder)
+            rates['with'].append(counter.rate(seconds))
+            cpu.append((_cpu_seconds(recorder) - before) / seconds)
+            _stop(recorder)
+            with BagReader(bag) as reader:
+                messages += reader.message_count
+                lost += sum(_missing(reader).values())
+            counter.rate(1.0)
+    finally:
+        counter.close()
+        for process in (policy, simulator):
+            _stop(process)
+    # neighbours in time are compared, because other work on the machine comes and goes
+    costs = [1 - on / off for on, off in zip(rates['with'], rates['without'])]
+    return {
+        'decisions_per_second_without': statistics.median(rates['without']),
+        'decisions_per_second_with': statistics.median(rates['with']),
+        'cost_percent': 100 * statistics.median(costs),
+        'cost_percent_by_round': [100 * cost for cost in costs],
+        'recorder_cpu_percent': 100 * statistics.median(cpu),
+        'messages_recorded': messages, 'steps_missing': lost,
+    }
+
+
+class _StepCounter:
+    """Reads the simulator's own count of decisions, at no cost to the run."""
+
+    def __init__(self) -> None:
+        import rclpy
+        from diagnostic_msgs.msg import DiagnosticArray
+        self._rclpy = rclpy
+        rclpy.init()
+        self._node = rclpy.create_node('recorder_cost')
+        self._rates: list[float] = []
+        self._skip = 0
+        self._node.create_subscription(DiagnosticArray, '/diagnostics', self._take, 10)
+
+    def rate(self, seconds: float) -> float:
+        """Return the mean decisions/s over the next seconds."""
+        # the first one covers the time before as well
+        self._rates.clear()
+        self._skip = 1
+        deadline = time.monotonic() + seconds
+        while time.monotonic() < deadline:
+            self._rclpy.spin_once(self._node, timeout_sec=0.1)
+        return statistics.mean(self._rates) if self._rates else float('nan')
+
+    def close(self) -> None:
+        self._node.destroy_node()
+        self._rclpy.try_shutdown()
+
+    def _take(self, message: Any) -> None:
+        for status in message.status:
+            if status.name == '/carracing_sim_node':
+                if self._skip:
+                    self._skip -= 1
+                    continue
+                self._rates += [float(pair.value) for pair in status.values
+                                if pair.key == 'decisions_per_second']
+
+
+def _start(module: str, **parameters: Any) -> subprocess.Popen:
+    command = [sys.executable, '-m', module, '--ros-args']
+    for name, value in parameters.items():
+        command += ['-p', f'{name}:={value}']
+    return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+
+def _stop(process: subprocess.Popen) -> None:
+    process.send_signal(signal.SIGINT)
+    try:
+        process.wait(STOP_SECONDS)
+    except subprocess.TimeoutExpired:
+        process.kill()
+
+
+def _cpu_seconds(process: subprocess.Popen) -> float:
+    import psutil
+    times = psutil.Process(process.pid).cpu_times()
+    return times.user + times.system
+
+
+def _missing(reader: BagReader) -> Counter[str]:
+    """Return how many decisions are missing between the first and the last in a bag."""
+    from bags.decode import BundleDecoder
+    decoder = BundleDecoder()
+    missing: Counter[str] = Counter()
+    last = None
+    for message in reader.messages(['/step']):
+        facts = decoder.decode(message.data, STEP.name).values_with(('episode', 'decision'))
+        present = (facts['episode'], facts['decision'])
+        if last is not None and present[0] == last[0]:
+            missing['step'] += int(present[1] - last[1] - 1)
+        last = present
+    return missing
