@@ -1,0 +1,26 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""The benchmark of the learner runs and counts its arithmetic right."""
+import json
+
+from benchmarks import bench_learner
+from benchmarks.bench_learner import main, nature, update_operations
+
+
+def test_operations_of_the_nature_network_by_hand():
+    forward = (20 * 20 * 32 * 4 * 64 + 9 * 9 * 64 * 32 * 16 + 7 * 7 * 64 * 64 * 9
+               + 3136 * 512 + 512 * 5)
+    first = 20 * 20 * 32 * 4 * 64
+    description = nature(bf16=True).model_description()
+    assert update_operations(description, 32, double=False) == 2 * 32 * (4 * forward - first)
+    assert update_operations(description, 32, double=True) == 2 * 32 * (5 * forward - first)
+
+
+def test_the_benchmark_writes_its_figures(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(bench_learner, 'HELD', 100)
+    monkeypatch.setattr(bench_learner, 'MATRIX', 64)
+    monkeypatch.setattr(bench_learner, 'stable_baselines', lambda: None)
+    assert main(['--rounds', '1', '--updates', '1', '--json', str(tmp_path / 'b.json')]) == 0
+    figures = json.loads((tmp_path / 'b.json').read_text())
+    assert figures['updates_per_second']['racing preset'] > 0
+    assert 'pip install stable-baselines3' in capsys.readouterr().out
