@@ -65,6 +65,8 @@ class _Source:
     number: int | None = None
     sequence: int = 0
     publishers: frozenset[bytes] = frozenset()
+    # whether we subscribed before anybody published, so that even number 1 should arrive
+    first: bool = False
 
     @property
     def countable(self) -> bool:
@@ -75,6 +77,7 @@ class _Source:
         """Note who publishes; after a change the numbers begin anew."""
         seen = frozenset(bytes(one.endpoint_gid) for one in publishers)
         if seen != self.publishers:
+            self.first = self.first and not self.publishers
             self.publishers = seen
             self.sequence = 0
 
@@ -197,6 +200,10 @@ class BagRecorderNode(NodeShell):
             if self._wants(name):
                 offered = offered_qos(reliable=topic.reliable, latched=topic.latched)
                 self._subscribe(name, topic.type_name, [offered])
+                # a latched publisher keeps less than it has sent
+                source = self._sources.get(name)
+                if source is not None and not topic.latched:
+                    source.first = not self.get_publishers_info_by_topic(name)
 
     def _subscribe(self, name: str, type_name: str, offered: list[dict[str, Any]]) -> None:
         try:
@@ -300,7 +307,7 @@ class BagRecorderNode(NodeShell):
                 if source.number is None:
                     self._announce(source)
                 sequence = info['publication_sequence_number'] or 0
-                if sequence != source.sequence + 1 and source.countable:
+                if sequence != source.sequence + 1 and (source.sequence or source.first):
                     self._check_gap(source, sequence)
                 source.sequence = sequence
                 batch.append((
@@ -318,7 +325,7 @@ class BagRecorderNode(NodeShell):
         """Count what is missing before a message, if all came from one publisher."""
         before = source.sequence
         source.see(self.get_publishers_info_by_topic(source.name))
-        if not source.countable or not before or source.sequence != before:
+        if not source.countable or source.sequence != before or not (before or source.first):
             return
         lost = sequence - before - 1
         if lost <= 0:
