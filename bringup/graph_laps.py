@@ -38,7 +38,8 @@ def run_graph(model: str, seeds: range, bag: Path | None) -> Iterator[dict[str, 
         'action_repeat': action_repeat(model),
         'wait_for_subscribers': 0 if bag is None else 1,
     }
-    policy: dict[str, object] = {'model': model, 'hot_swap': False}
+    policy: dict[str, object] = {
+        'model': model, 'hot_swap': False, 'wait_for_subscribers': 1 if bag is None else 2}
     if model == RANDOM:
         policy['seed'] = seeds.start
     space = f'evaluate_{os.getpid()}'

@@ -156,7 +156,8 @@ def drive(
         'action_repeat': 1 if arguments.real_time else action_repeat(model),
         'wait_for_subscribers': 0 if arguments.no_bag else 1,
     }
-    policy = {'model': model}
+    # the simulator listens to the policy, too
+    policy = {'model': model, 'wait_for_subscribers': 1 + simulator['wait_for_subscribers']}
     space = arguments.namespace
     with ProcessGroup(folder / 'log') as group:
         if not arguments.no_bag:

@@ -98,7 +98,9 @@ def train(
         'early_end_frames': hyperparameters.early_end_frames,
         'wait_for_subscribers': 2 if arguments.bag else 1,
     }
-    policy = {'model': '', 'explore': True, 'seed': hyperparameters.seed}
+    # the simulator listens to the policy, too
+    policy = {'model': '', 'explore': True, 'seed': hyperparameters.seed,
+              'wait_for_subscribers': 1 + simulator['wait_for_subscribers']}
     trainer = {
         'run': str(folder), 'resume': arguments.resume is not None,
         'preset': arguments.preset, 'overrides': ','.join(overrides),

@@ -89,8 +89,6 @@ class CarRacingSimNode(NodeShell):
         return (
             self._image_publisher.get_subscription_count() >= wanted + driver
             and self._step_publisher.get_subscription_count() >= wanted
-            # beside our own; the driver's connections to them are as old as ours within SETTLE
-            and self.count_subscribers(topics.CMD_VEL.name) >= wanted + 1
             and (not driver or self.count_publishers(topics.CMD_VEL.name) > 0)
         )
 
@@ -101,8 +99,8 @@ class CarRacingSimNode(NodeShell):
             self._ready_since = None
             self.get_logger().info(
                 'waiting for a driver (a subscription of image_raw, a publisher of cmd_vel) and '
-                f'{self.settings.wait_for_subscribers} more subscriptions of image_raw, step '
-                'and cmd_vel', throttle_duration_sec=10.0)
+                f'{self.settings.wait_for_subscribers} more subscriptions of image_raw and step',
+                throttle_duration_sec=10.0)
             return
         if self._ready_since is None:
             self._ready_since = now

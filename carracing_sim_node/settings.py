@@ -53,8 +53,8 @@ class SimulatorSettings:
     cmd_vel_stamped: bool = setting(
         True, 'false: cmd_vel is a plain Twist, taken as the answer to the newest frame')
     wait_for_subscribers: int = setting(
-        0, 'subscriptions of image_raw, step and cmd_vel, beside those of simulator and policy, '
-        'to wait for before the first frame, so that trainer and recorder miss nothing',
+        0, "subscriptions of image_raw and step, beside the policy's, to wait for before the "
+        'first frame, so that trainer and recorder miss nothing',
         low=0, high=100)
     start_paused: bool = setting(False, 'wait for ~/pause false or ~/step')
     frame_id: str = setting('car_top_down', 'frame_id of the images: x right, y down')

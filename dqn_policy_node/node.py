@@ -62,6 +62,7 @@ class DqnPolicyNode(NodeShell):
             self.subscription(topics.WEIGHTS, self._on_weights)
         self._last_image = time.monotonic()
         self._halted = True
+        self._connected = False
         if settings.stale_after:
             self.create_timer(settings.stale_after / 2, self._watch_images)
         self.get_logger().info(
@@ -76,6 +77,13 @@ class DqnPolicyNode(NodeShell):
         if self._pilot is None:
             self.counts['images_without_weights'] += 1
             return
+        if not self._connected:
+            wanted = self.settings.wait_for_subscribers
+            self._connected = self._cmd_vel.get_subscription_count() >= wanted
+            if not self._connected:
+                # a simulator in lockstep sends the frame again
+                self.counts['images_before_connected'] += 1
+                return
         frame = image_to_array(message)
         try:
             answer = self._pilot.answer(to_nanoseconds(message.header.stamp), frame)

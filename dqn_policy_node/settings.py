@@ -24,6 +24,9 @@ class PolicySettings:
     seed: int = setting(0, 'seed of the random actions', low=0, high=2**31 - 1)
     cmd_vel_stamped: bool = setting(
         True, 'false: publish a plain Twist, for simulators that know no other')
+    wait_for_subscribers: int = setting(
+        0, "subscriptions of cmd_vel, the simulator's among them, to wait for before the first "
+        'answer, so that trainer and recorder miss none', low=0, high=100)
     scene_gap: float = setting(
         0.5, 'seconds between two stamps from which on the frame stack starts anew',
         low=0.05, high=60.0)

@@ -21,7 +21,8 @@ def generate_launch_description() -> LaunchDescription:
                               description='simulator frames per published frame'),
         DeclareLaunchArgument('seed', default_value='420',
                               description='seed of the first track'),
-        Node(package='carracing_dqn', executable='carracing_sim_node', namespace=value('namespace'),
+        Node(package='carracing_dqn', executable='carracing_sim_node',
+             namespace=value('namespace'),
              output='screen', parameters=[{
                  'stepping': value('stepping'),
                  'action_repeat': value('action_repeat'),

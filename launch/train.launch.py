@@ -23,7 +23,8 @@ def nodes(context: object) -> list:
     return [
         trainer,
         Node(executable='dqn_policy_node', **common,
-             parameters=[{'model': '', 'explore': True, 'seed': preset.seed}]),
+             parameters=[{'model': '', 'explore': True, 'seed': preset.seed,
+                          'wait_for_subscribers': 2}]),
         Node(executable='validation_node', **common,
              parameters=[{'seed': preset.validation_seed, 'tracks': preset.validation_tracks}]),
         Node(executable='carracing_sim_node', **common, parameters=[{
