@@ -64,7 +64,6 @@ def main(arguments: argparse.Namespace) -> int:
     if arguments.laps < 0:
         raise EvaluationError(f'--laps is {arguments.laps}; accepted: 0 or more')
     console = Console()
-    limit_torch_threads()
     runs = [load_run(_find(arguments.run))]
     runs += [load_run(_find(other)) for other in arguments.against if other != SEED]
     for path in (arguments.evaluation, arguments.dummy):
@@ -139,6 +138,7 @@ def _trajectories(
         return
     try:
         policy = PolicySource(MODEL, str(run.model)).open()
+        limit_torch_threads()
         for heading, seed in _interesting_laps(run, count):
             console.print(f'driving track {seed} to draw it', highlight=False)
             env = make_simulator('fast')

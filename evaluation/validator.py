@@ -9,6 +9,7 @@ import time
 from evaluation.errors import EvaluationError
 from evaluation.laps import drive_lap, Lap, Policy
 from evaluation.simulators import make_simulator
+from evaluation.workers import limit_torch_threads
 import numpy as np
 
 
@@ -19,6 +20,9 @@ def validate(
 ) -> dict[str, float]:
     """
     Drive one greedy lap a seed; return `step_fields.VALIDATION_FIELDS`.
+
+    From here on torch uses one thread in this process: more gain nothing with one frame at a
+    time, and take the cores from the trainer and the simulator.
 
     Args:
         policy: acts as it is; its `epsilon`, if it has one, should be 0.
@@ -32,6 +36,7 @@ def validate(
         PolicyError: the policy answered with something that is no action.
         EvaluationError: there was no seed.
     """
+    limit_torch_threads()
     started = time.perf_counter()
     laps: list[Lap] = []
     for seed in seeds:

@@ -130,6 +130,6 @@ def _work(connection: Connection, make_worker: Callable[[], Callable[[Any], Any]
 
 
 def limit_torch_threads() -> None:
-    """Let torch, if it is loaded, use one thread in this process."""
+    """Let torch, if it is loaded by now, use one thread in this process."""
     if 'torch' in sys.modules:
         sys.modules['torch'].set_num_threads(1)
