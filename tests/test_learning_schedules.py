@@ -103,6 +103,13 @@ def test_each_term_by_hand():
         pytest.approx(0.1 * (1 + sum(terms.values()))))
 
 
+def test_the_penalty_of_one_decision_for_missed_tiles_has_a_limit():
+    own = tiny(tile_missed_penalty=10, tile_missed_limit=25)
+    for missed, points in ((1, -10), (2, -20), (3, -25), (40, -25)):
+        assert shaping_terms(
+            own, make_facts(tiles_missed=missed), make_facts())['tile_missed'] == points
+
+
 def test_a_missed_tile_that_is_fetched_gives_its_points_back():
     own = tiny(tile_missed_penalty=10)
     back = shaping_terms(own, make_facts(tiles_missed=1), make_facts(tiles_missed=2))
@@ -135,7 +142,7 @@ def test_the_report_preset_names_every_number_that_it_could_change():
     from dqn_policy_node.share import share_path
     values = yaml.safe_load(share_path('config/report.yaml').read_text())
     unused = {'learning_rate_hold', 'epsilon_decisions', 'standing_growth', 'standing_limit',
-              'early_end_terminal'}
+              'tile_missed_limit', 'early_end_terminal'}
     assert set(describe(Hyperparameters)) - set(values) == unused
 
 

@@ -143,6 +143,9 @@ class Hyperparameters:
     # Shaping: in training only, added to the reward of the environment; 0 = off. ---------------
     tile_missed_penalty: float = setting(
         0.0, 'points off for every tile left behind unvisited', low=0.0, high=1000.0)
+    tile_missed_limit: float = setting(
+        1e6, 'most points off for tiles left behind in one decision; without a limit a car that '
+        'has cut a bend had better not touch the road again', low=0.0, high=1e6)
     off_road_penalty: float = setting(
         0.0, 'points off a frame, times the share of the wheels off the road',
         low=0.0, high=100.0)

@@ -32,7 +32,8 @@ def shaping_terms(settings: Hyperparameters, facts: Facts, previous: Facts) -> d
     visited = facts['tiles_visited'] - previous['tiles_visited']
     return {
         # a tile that is fetched later gives its points back
-        'tile_missed': -settings.tile_missed_penalty * missed,
+        'tile_missed': -min(
+            settings.tile_missed_penalty * missed, settings.tile_missed_limit),
         'off_road': -settings.off_road_penalty * facts['wheels_off_road'] * frames,
         'standing': -standing_points(settings, int(facts['standing_still']), int(frames)),
         'progress': settings.progress_weight * visited / max(facts['tiles_total'], 1.0),
