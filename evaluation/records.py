@@ -57,14 +57,14 @@ class Run:
 
     @property
     def wall_seconds(self) -> float | None:
-        """Return how long it trained, by its record or its last row."""
+        """Return how long it has trained, by its record or its last rows; None when unknown."""
+        known = [float(table.known('wall_seconds')[0].max())
+                 for table in (self.episodes, self.updates) if table.has('wall_seconds')]
         value = self.record.get('wall_seconds')
         if isinstance(value, (int, float)) and not isinstance(value, bool):
-            return float(value)
-        for table in (self.episodes, self.updates):
-            if table.has('wall_seconds'):
-                return float(table.known('wall_seconds')[0].max())
-        return None
+            # the record of a run that goes on is as old as its last checkpoint
+            known.append(float(value))
+        return max(known, default=None)
 
 
 def load_run(folder: Path | str) -> Run:

@@ -39,11 +39,12 @@ def test_half_a_row_at_the_end_is_left_out(tmp_path):
 
 
 def test_a_run_that_goes_on_says_so(tmp_path):
-    folder = write_run(tmp_path / 'run', [10])
-    (folder / 'run.json').write_text('{"complete": false}')
+    folder = write_run(tmp_path / 'run', range(1000))
+    (folder / 'run.json').write_text('{"complete": false, "wall_seconds": 60}')
     run = load_run(folder)
     assert run.problems == ['The run is not complete: it is still going on, or was stopped.']
-    assert run.wall_seconds == 0
+    # six seconds an episode, the last of them number 999
+    assert run.wall_seconds == 5994
 
 
 @pytest.mark.parametrize(('text', 'problem'), [
