@@ -70,7 +70,9 @@ class Child:
         self.name = name
         self.log = log
         self.words: deque[str] = deque(maxlen=LAST_WORDS)
-        environment = {**os.environ, 'PYTHONUNBUFFERED': '1', 'RCUTILS_COLORIZED_OUTPUT': '0'}
+        # one thread each: libraries that start one a core take them from the other nodes
+        environment = {'OMP_NUM_THREADS': '1', **os.environ, 'PYTHONUNBUFFERED': '1',
+                       'RCUTILS_COLORIZED_OUTPUT': '0'}
 
         def prepare() -> None:
             die_with_parent()

@@ -34,6 +34,7 @@ from msgs_bridge.node_shell import NodeShell, run_node
 from msgs_bridge.stamps import NANOSECONDS, to_nanoseconds
 from msgs_bridge.twists import Action, COAST, fill_twist
 from sensor_msgs.msg import JointState
+import torch
 
 NO_MODEL = ''
 RANDOM_MODEL = 'random'
@@ -48,6 +49,8 @@ class DqnPolicyNode(NodeShell):
         settings = self.settings
         self._pilot: Pilot | None = None
         self._device = choose_device(settings.device)
+        # one picture at a time gains nothing from a second thread, and takes a core
+        torch.set_num_threads(1)
         if settings.model == RANDOM_MODEL:
             self._take_policy(RandomPolicy(ACTION_SETS['seed5']))
         elif settings.model != NO_MODEL:
