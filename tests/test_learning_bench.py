@@ -5,6 +5,7 @@ import json
 
 from benchmarks import bench_learner
 from benchmarks.bench_learner import main, nature, update_operations
+from learning_cases import tiny
 
 
 def test_operations_of_the_nature_network_by_hand():
@@ -20,6 +21,7 @@ def test_the_benchmark_writes_its_figures(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(bench_learner, 'HELD', 100)
     monkeypatch.setattr(bench_learner, 'MATRIX', 64)
     monkeypatch.setattr(bench_learner, 'stable_baselines', lambda: None)
+    monkeypatch.setattr(bench_learner, 'nature', lambda bf16: tiny(bf16=bf16))
     assert main(['--rounds', '1', '--updates', '1', '--json', str(tmp_path / 'b.json')]) == 0
     figures = json.loads((tmp_path / 'b.json').read_text())
     assert figures['updates_per_second']['racing preset'] > 0
