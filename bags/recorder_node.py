@@ -203,7 +203,7 @@ class BagRecorderNode(NodeShell):
                 # a latched publisher keeps less than it has sent
                 source = self._sources.get(name)
                 if source is not None and not topic.latched:
-                    source.first = not self._publishers(name)
+                    source.first = not self._known_publishers(name)
 
     def _subscribe(self, name: str, type_name: str, offered: list[dict[str, Any]]) -> None:
         try:
@@ -237,14 +237,14 @@ class BagRecorderNode(NodeShell):
         self._discoveries += 1
         if self._discoveries > BUSY_DISCOVERIES and self._discoveries % CALM:
             return
-        for name in self._topic_names():
+        for name in self._known_topics():
             source = self._sources.get(name)
             if not self._wants(name) or name in self._unknown:
                 continue
             # new publishers of a topic already recorded need not be noticed at once
             if source is not None and source.number is not None and self._discoveries % CALM:
                 continue
-            publishers = self._publishers(name)
+            publishers = self._known_publishers(name)
             if not publishers:
                 continue
             offered = recorded_qos(publishers)
@@ -260,7 +260,7 @@ class BagRecorderNode(NodeShell):
         if fresh:
             self.get_logger().info(f'recording {", ".join(sorted(fresh))}')
 
-    def _topic_names(self) -> list[str]:
+    def _known_topics(self) -> list[str]:
         """Return the topics of the graph; none when ROS is shutting down."""
         try:
             return [name for name, _ in self.get_topic_names_and_types()]
@@ -271,7 +271,7 @@ class BagRecorderNode(NodeShell):
                 raise
             return []
 
-    def _publishers(self, name: str) -> list[TopicEndpointInfo]:
+    def _known_publishers(self, name: str) -> list[TopicEndpointInfo]:
         """Return the publishers of a topic; none when ROS is shutting down."""
         try:
             return self.get_publishers_info_by_topic(name)
@@ -337,7 +337,7 @@ class BagRecorderNode(NodeShell):
 
     def _announce(self, source: _Source) -> None:
         """Give a topic its place in the bag, with the QoS of its publishers."""
-        publishers = self._publishers(source.name)
+        publishers = self._known_publishers(source.name)
         source.see(publishers)
         offered = recorded_qos(publishers) or [offered_qos()]
         source.number = self._recording.add_topic(source.name, source.type_name, offered)
@@ -345,7 +345,7 @@ class BagRecorderNode(NodeShell):
     def _check_gap(self, source: _Source, sequence: int) -> None:
         """Count what is missing before a message, if all came from one publisher."""
         before = source.sequence
-        source.see(self._publishers(source.name))
+        source.see(self._known_publishers(source.name))
         if not source.countable or source.sequence != before or not (before or source.first):
             return
         lost = sequence - before - 1
