@@ -18,14 +18,13 @@ class Recording:
     """
     Writes a bag in a thread of its own.
 
-    `put` never blocks; `full` says when the one who takes messages should leave them where they
-    are. After the disk failed `error` holds the reason, and what is put is counted as lost.
+    `put` never waits for the disk; `full` says when the one who takes messages should leave them
+    where they are. After the disk failed `error` says so, and what is put is counted as lost.
     """
 
     def __init__(self, writer: BagWriter, cache_bytes: int) -> None:
         """Start the thread; about `cache_bytes` may wait for the disk."""
         self.writer = writer
-        self.error: str | None = None
         self.lost = 0
         self.peak_bytes = 0
         self._cache_bytes = cache_bytes
@@ -35,8 +34,19 @@ class Recording:
         self._written_topics = 0
         self._wake = threading.Event()
         self._stop = False
+        self._reason: str | None = None
+        # what is put and what is given up must not pass each other uncounted
+        self._lock = threading.Lock()
         self._thread = threading.Thread(target=self._run, name='bag_writer', daemon=True)
         self._thread.start()
+
+    @property
+    def error(self) -> str | None:
+        """Return what went wrong and what it has cost so far; None as long as all is well."""
+        if self._reason is None:
+            return None
+        return (f'{self.writer.folder}: {self._reason}; {self.writer.message_count} messages '
+                f'are in the bag, {self.writer.lost + self.lost} were lost')
 
     @property
     def full(self) -> bool:
@@ -51,13 +61,14 @@ class Recording:
 
     def put(self, batch: list[tuple[int, int, int, bytes]]) -> None:
         """Take messages in order: log time and publish time in ns, topic number, bytes."""
-        if self.error is not None:
-            self.lost += len(batch)
-            return
         size = sum(len(message[3]) for message in batch)
-        self._waiting_bytes += size
-        self.peak_bytes = max(self.peak_bytes, self._waiting_bytes)
-        self._batches.append((batch, size))
+        with self._lock:
+            if self._reason is not None:
+                self.lost += len(batch)
+                return
+            self._waiting_bytes += size
+            self.peak_bytes = max(self.peak_bytes, self._waiting_bytes)
+            self._batches.append((batch, size))
         self._wake.set()
 
     def close(self) -> None:
@@ -90,7 +101,8 @@ class Recording:
                 self.writer.tick()
                 if stop:
                     return
-        except (OSError, BagError) as error:
+        except Exception as error:
+            # whatever it was, a thread that ends unseen would lose everything that follows
             self._fail(error)
 
     def _write(self, batch: list[tuple[int, int, int, bytes]], size: int) -> None:
@@ -108,7 +120,8 @@ class Recording:
             self.lost += len(batch) - done - 1
             raise
         finally:
-            self._waiting_bytes -= size
+            with self._lock:
+                self._waiting_bytes -= size
 
     def _add_topics(self) -> None:
         while self._written_topics < len(self._topics):
@@ -116,8 +129,8 @@ class Recording:
             self._written_topics += 1
 
     def _fail(self, error: Exception) -> None:
-        self.lost += sum(len(batch) for batch, _ in self._batches)
-        self._batches.clear()
-        reason = getattr(error, 'strerror', None) or str(error)
-        self.error = (f'{self.writer.folder}: {reason}; {self.writer.message_count} messages '
-                      f'are in the bag, {self.writer.lost + self.lost} were lost')
+        with self._lock:
+            self.lost += sum(len(batch) for batch, _ in self._batches)
+            self._batches.clear()
+            self._waiting_bytes = 0
+            self._reason = getattr(error, 'strerror', None) or str(error)
