@@ -15,7 +15,6 @@ import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.callback_groups import CallbackGroup
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
@@ -26,7 +25,7 @@ from bags.qos_text import offered_qos
 from bags.recording import Recording
 from bags.settings import ALL, names_of, RecorderSettings
 from bags.writer import BagWriter
-from msgs_bridge.node_shell import message_class, NodeShell, run_node
+from msgs_bridge.node_shell import message_class, NodeShell, PolledGroup, run_node
 from msgs_bridge.topics import TOPICS
 
 # The middleware keeps what arrives between two looks; a look costs the same for one message as
@@ -39,19 +38,6 @@ CALM = 5
 # seconds without a message after which a stopped recorder believes that nothing more comes
 QUIET_SECONDS = 0.06
 STOP_SECONDS = 0.6
-
-
-class _PolledGroup(CallbackGroup):
-    """Keeps the recorder's subscriptions out of the executor's wait set; they are polled."""
-
-    def can_execute(self, entity: object) -> bool:
-        return False
-
-    def beginning_execution(self, entity: object) -> bool:
-        return False
-
-    def ending_execution(self, entity: object) -> None:
-        pass
 
 
 @dataclasses.dataclass
@@ -120,7 +106,7 @@ class BagRecorderNode(NodeShell):
             split_seconds=settings.split_seconds,
             custom_data=parse_provenance(settings.provenance))
         self._recording = Recording(self._writer, settings.cache_bytes)
-        self._group = _PolledGroup()
+        self._group = PolledGroup()
         self._lock = threading.Lock()
         self._sources: dict[str, _Source] = {}
         self._held: list[tuple[int, int, int, bytes]] = []

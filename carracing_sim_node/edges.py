@@ -25,7 +25,8 @@ STEPS = 4
 SLOPE = 5
 FIRST_X = 6
 FIRST_Y = 7
-EDGE_FIELDS = 8
+LAST_Y = 8
+EDGE_FIELDS = 9
 
 # The kinds of an edge.
 HIDDEN = 0
@@ -102,6 +103,7 @@ def describe_edge(x1, y1, x2, y2, edge):
     dy = y2 - y1
     edge[X0] = x1
     edge[Y0] = y1
+    edge[LAST_Y] = y2
     if dx == 0:
         edge[KIND] = POINT_OR_VERTICAL
         edge[X_STEP] = 0

@@ -123,8 +123,9 @@ class CarRacingSimNode(NodeShell):
         self._publish(self.drive.begin())
 
     def _publish(self, frame: Frame) -> None:
-        """Publish one frame; the image goes last because the policy answers it at once."""
+        """Publish one frame; the image goes first, so that the policy thinks meanwhile."""
         self._frame = frame
+        self._send_image(frame)
         clock = Clock()
         set_stamp(clock.clock, frame.stamp)
         self._clock_publisher.publish(clock)
@@ -134,7 +135,6 @@ class CarRacingSimNode(NodeShell):
             self._final_stamp = frame.stamp
             self._episode_publisher.publish(
                 fill_named_values(JointState(), frame.summary, frame.stamp))
-        self._send_image(frame)
 
     def _send_image(self, frame: Frame) -> None:
         self._asked_at = time.monotonic()

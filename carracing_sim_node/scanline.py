@@ -25,6 +25,7 @@ from carracing_sim_node.edges import HEIGHT
 from carracing_sim_node.edges import HIDDEN
 from carracing_sim_node.edges import HORIZONTAL
 from carracing_sim_node.edges import KIND
+from carracing_sim_node.edges import LAST_Y
 from carracing_sim_node.edges import MAX_CORNERS
 from carracing_sim_node.edges import POINT_OR_VERTICAL
 from carracing_sim_node.edges import SLOPE
@@ -345,11 +346,11 @@ def draw_edge(band, mixed, edges, quad, side, left, right, shift, simple, top, r
         rgb: Colour.
     """
     kind = edges[quad, side, KIND]
-    if kind == HIDDEN:
-        return
     bottom = top - BAND_ROWS + 1
-    x0 = edges[quad, side, X0]
     y0 = edges[quad, side, Y0]
+    if kind == HIDDEN or y0 > top or edges[quad, side, LAST_Y] < bottom:
+        return
+    x0 = edges[quad, side, X0]
     steps = edges[quad, side, STEPS]
 
     if kind == POINT_OR_VERTICAL:
@@ -376,11 +377,17 @@ def draw_edge(band, mixed, edges, quad, side, left, right, shift, simple, top, r
 
     slope = edges[quad, side, SLOPE]
     x_step = edges[quad, side, X_STEP]
-    # Whether a pixel lies in the filling cannot be predicted, so it takes part with a weight of 0
-    # instead of being passed over.
+    # Of the two pixels of a step one lies within the filling almost always, and the other about
+    # every second time, which no processor predicts: the first is passed over by a branch, the
+    # second takes part with a weight of 0.
     if kind == STEEP:
         first = max(1, bottom - y0)
         last = min(steps - 1, top - y0)
+        second_inside = False
+        if simple and first <= last:
+            k = (first + last) >> 1
+            x = x0 + x_step * ((k * slope >> 16) + 1)
+            second_inside = left[shift + y0 + k] <= x <= right[shift + y0 + k]
         for k in range(first, last + 1):
             y = y0 + k
             row = np.uint64(top - y)
@@ -390,13 +397,19 @@ def draw_edge(band, mixed, edges, quad, side, left, right, shift, simple, top, r
             position = k * slope
             weight = (position >> 8) & 255
             x = x0 + x_step * (position >> 16)
-            near = 255 - weight if (x < inner) | (x > outer) else 0
+            if second_inside:
+                likely, likely_weight = x + x_step, weight
+                open_weight = 255 - weight
+            else:
+                likely, likely_weight = x, 255 - weight
+                x += x_step
+                open_weight = weight
+            if likely < inner or likely > outer:
+                column = np.uint64(likely)
+                band[row, column] = blend(band[row, column], rgb, likely_weight)
+            open_weight = open_weight if (x < inner) | (x > outer) else 0
             column = np.uint64(x)
-            band[row, column] = blend(band[row, column], rgb, near)
-            x += x_step
-            far = weight if (x < inner) | (x > outer) else 0
-            column = np.uint64(x)
-            band[row, column] = blend(band[row, column], rgb, far)
+            band[row, column] = blend(band[row, column], rgb, open_weight)
         for group in range(BAND_OUT):
             a = max(first, top - 8 * (group + 1) - y0)
             b = min(last, top - 8 * group - y0)
@@ -407,25 +420,36 @@ def draw_edge(band, mixed, edges, quad, side, left, right, shift, simple, top, r
         return
 
     first, last = steps_in_rows(slope, steps, bottom - 1 - y0, top - y0)
+    upper_inside = False
+    if simple and first <= last:
+        k = (first + last) >> 1
+        y = y0 + (k * slope >> 16) + 1
+        x = x0 + x_step * k
+        upper_inside = y <= top and left[shift + y] <= x <= right[shift + y]
     for k in range(first, last + 1):
         position = k * slope
         weight = (position >> 8) & 255
         y = y0 + (position >> 16)
         x = x0 + x_step * k
         column = np.uint64(x)
-        if y >= bottom:
+        if upper_inside:
+            likely, likely_weight = y + 1, weight
+            open_weight = 255 - weight
+        else:
+            likely, likely_weight = y, 255 - weight
+            y += 1
+            open_weight = weight
+        if bottom <= likely <= top:
+            place = np.uint64(shift + likely)
+            if not simple or x < left[place] or x > right[place]:
+                row = np.uint64(top - likely)
+                band[row, column] = blend(band[row, column], rgb, likely_weight)
+        if bottom <= y <= top:
             place = np.uint64(shift + y)
             row = np.uint64(top - y)
             inside = simple and (x >= left[place]) & (x <= right[place])
-            near = 0 if inside else 255 - weight
-            band[row, column] = blend(band[row, column], rgb, near)
-        y += 1
-        if y <= top:
-            place = np.uint64(shift + y)
-            row = np.uint64(top - y)
-            inside = simple and (x >= left[place]) & (x <= right[place])
-            far = 0 if inside else weight
-            band[row, column] = blend(band[row, column], rgb, far)
+            open_weight = 0 if inside else open_weight
+            band[row, column] = blend(band[row, column], rgb, open_weight)
     for group in range(BAND_OUT):
         a, b = steps_in_rows(slope, steps, top - 8 * (group + 1) - 1 - y0, top - 8 * group - y0)
         if a <= b:

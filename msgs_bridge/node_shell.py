@@ -24,6 +24,7 @@ from rcl_interfaces.msg import (
     FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult,
 )
 import rclpy
+from rclpy.callback_groups import CallbackGroup
 from rclpy.exceptions import InvalidParameterTypeException, ParameterException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
@@ -47,6 +48,21 @@ def message_class(type_name: str) -> type:
 def keep_discovery_local() -> None:
     """Stay on this host unless the user has said otherwise: nobody else drives the car."""
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+
+
+class PolledGroup(CallbackGroup):
+    """Keeps its subscriptions out of the executor, for a thread that takes messages itself."""
+
+    def can_execute(self, entity: object) -> bool:
+        """Tell the executor to leave them alone."""
+        return False
+
+    def beginning_execution(self, entity: object) -> bool:
+        """Tell the executor to leave them alone."""
+        return False
+
+    def ending_execution(self, entity: object) -> None:
+        """Do nothing: nothing has begun."""
 
 
 class NodeShell(Node):
@@ -80,12 +96,13 @@ class NodeShell(Node):
 
     def subscription(
         self, topic: Topic, callback: Callable, *, type_name: str | None = None,
-        depth: int | None = None,
+        depth: int | None = None, polled: bool = False,
     ) -> Any:
         """
         Subscribe to a topic of the contract; bad messages are counted, not fatal.
 
         A `MessageError` that the callback raises is logged (throttled) and the node goes on.
+        With `polled` nothing is called until somebody calls `take`.
         """
         def checked(message: Any) -> None:
             try:
@@ -97,7 +114,16 @@ class NodeShell(Node):
 
         return self.create_subscription(
             message_class(type_name or topic.type_name), topic.name, checked,
-            qos_profile(topic, depth=depth))
+            qos_profile(topic, depth=depth), callback_group=PolledGroup() if polled else None)
+
+    def take(self, subscription: Any) -> bool:
+        """Take one message of a polled subscription, if there is one, and call its callback."""
+        with subscription.handle:
+            taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
+        if taken is None:
+            return False
+        subscription.callback(taken[0])
+        return True
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
         """Return level, summary and values for the diagnostics; nodes add theirs."""
@@ -199,6 +225,10 @@ def _spin_to_the_end(make_node: Callable[[], NodeShell], args: list[str] | None)
         executor.spin()
     except (KeyboardInterrupt, ExternalShutdownException, Finished):
         pass
+    except Exception:
+        # a signal in the middle of a callback makes any call of rclpy fail
+        if rclpy.ok():
+            raise
     finally:
         # what is left to do is bounded, and a second Ctrl-C must not cut off a save
         for number in (signal.SIGINT, signal.SIGTERM):

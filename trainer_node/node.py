@@ -16,6 +16,7 @@ the log says where, or that it could not be saved (seed document 4.2.2).
 from __future__ import annotations
 
 from array import array
+from collections import deque
 import queue
 import sys
 import threading
@@ -40,6 +41,12 @@ from trainer_node.training import Training
 # A snapshot for the diagnostics is taken by the learning thread, every so many transitions.
 STATUS_EVERY = 20
 
+# Messages of one topic that are taken before the next transition is learned from.
+TAKEN_AT_ONCE = 200
+
+# How long the learning thread sleeps when nothing has come in.
+IDLE_SECONDS = 0.0005
+
 # Times the queue limit at which transitions are dropped because nobody can be paused.
 OVERRUN = 50
 
@@ -48,8 +55,9 @@ class TrainerNode(NodeShell):
     """
     The trainer as a node.
 
-    The ROS thread joins messages and fills a queue; the learning thread owns `training` and
-    takes everything, transitions and requests alike, from that queue in order.
+    The learning thread owns `training`. Between two transitions it takes the messages that have
+    come in itself, because an executor that wakes for each of a thousand messages a second halves
+    the rate of updates. The ROS thread has the rare things: services, validations, diagnostics.
     """
 
     def __init__(self) -> None:
@@ -58,16 +66,19 @@ class TrainerNode(NodeShell):
         settings = self.settings
         self._training = self._open()
         self._joiner = TransitionJoiner()
-        self._queue: queue.SimpleQueue[object] = queue.SimpleQueue()
+        self._requests: queue.SimpleQueue[object] = queue.SimpleQueue()
+        self._waiting: deque[Transition] = deque()
         self._status = self._training.status()
         self._failure: Exception | None = None
         self._complete = False
         self._pausing = False
         self._stopping = threading.Event()
         self._weights_publisher = self.publisher(topics.WEIGHTS)
-        self.subscription(topics.IMAGE, self._on_image, depth=topics.STALL_DEPTH)
-        self.subscription(topics.STEP, self._on_step)
-        self.subscription(topics.CMD_VEL, self._on_twist)
+        self._inputs = (
+            self.subscription(
+                topics.IMAGE, self._on_image, depth=topics.STALL_DEPTH, polled=True),
+            self.subscription(topics.STEP, self._on_step, polled=True),
+            self.subscription(topics.CMD_VEL, self._on_twist, polled=True))
         self.subscription(topics.VALIDATION, self._on_validation)
         self.create_service(Trigger, '~/save', self._on_save)
         self.create_service(Trigger, '~/evaluate', self._on_evaluate)
@@ -88,7 +99,31 @@ class TrainerNode(NodeShell):
             return Training.resume(settings.run, hyperparameters, **options)
         return Training.create(hyperparameters, settings.run, **options)
 
-    # --- ROS thread: messages to transitions
+    # --- ROS thread
+
+    def _on_validation(self, message: object) -> None:
+        self._requests.put(read_named_values(message, VALIDATION_FIELDS))
+
+    def _on_learner(self) -> None:
+        """Answer the learning thread, which is complete or has failed."""
+        if self._failure is not None:
+            raise BridgeError(f'learning stopped: {self._failure}') from self._failure
+        if self._complete:
+            raise Finished
+
+    def _on_save(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._requests.put('save')
+        response.success = True
+        response.message = f'saving into {self.settings.run}'
+        return response
+
+    def _on_evaluate(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._requests.put('validate')
+        response.success = True
+        response.message = 'weights go out for validation; the result comes on validation'
+        return response
+
+    # --- learning thread: messages to transitions
 
     def _on_image(self, message: object) -> None:
         frame = image_to_array(message)
@@ -103,52 +138,35 @@ class TrainerNode(NodeShell):
         self._put(self._joiner.add_twist(to_nanoseconds(message.header.stamp), action))
 
     def _put(self, transitions: list[Transition]) -> None:
-        for transition in transitions:
-            if self._queue.qsize() < OVERRUN * self.settings.queue_limit:
-                self._queue.put(transition)
-            else:
-                # a simulator without ~/pause, or a bag played too fast
-                self.counts['transitions_overrun'] += 1
-                self.get_logger().warn(
-                    'transitions come faster than they are learned from and nobody answers '
-                    f'{self.settings.simulator}/pause: some are dropped',
-                    throttle_duration_sec=10.0)
-        if not self._pausing and self._queue.qsize() > self.settings.queue_limit:
-            self._set_pause(True)
+        room = OVERRUN * self.settings.queue_limit - len(self._waiting)
+        self._waiting.extend(transitions[:room])
+        if len(transitions) > room:
+            # a simulator without ~/pause, or a bag played too fast
+            self.counts['transitions_overrun'] += len(transitions) - room
+            self.get_logger().warn(
+                'transitions come faster than they are learned from and nobody answers '
+                f'{self.settings.simulator}/pause: some are dropped', throttle_duration_sec=10.0)
 
-    def _on_validation(self, message: object) -> None:
-        self._queue.put(read_named_values(message, VALIDATION_FIELDS))
+    def _take_messages(self) -> None:
+        """Take what has come in, topic by topic, and hold the simulator back or let it go on."""
+        for subscription in self._inputs:
+            for _ in range(TAKEN_AT_ONCE):
+                if not self.take(subscription):
+                    break
+        if not self._pausing and len(self._waiting) > self.settings.queue_limit:
+            self._set_pause(True)
+        elif self._pausing and len(self._waiting) <= self.settings.queue_limit // 4:
+            self._set_pause(False)
 
     def _set_pause(self, pause: bool) -> None:
         """Hold the simulator back, or let it go on: the limiter of the replay ratio."""
-        if not self._pause.service_is_ready():
+        if not self.context.ok() or not self._pause.service_is_ready():
             return
         self._pausing = pause
         self.counts['pauses'] += pause
         self._pause.call_async(SetBool.Request(data=pause))
 
-    def _on_learner(self) -> None:
-        """Answer the learning thread: it has caught up, is complete, or has failed."""
-        if self._failure is not None:
-            raise BridgeError(f'learning stopped: {self._failure}') from self._failure
-        if self._complete:
-            raise Finished
-        if self._pausing and self._queue.qsize() <= self.settings.queue_limit // 4:
-            self._set_pause(False)
-
-    def _on_save(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._queue.put('save')
-        response.success = True
-        response.message = f'saving into {self.settings.run}'
-        return response
-
-    def _on_evaluate(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._queue.put('validate')
-        response.success = True
-        response.message = 'weights go out for validation; the result comes on validation'
-        return response
-
-    # --- learning thread
+    # --- learning thread: transitions to weights
 
     def _learn(self) -> None:
         try:
@@ -162,30 +180,22 @@ class TrainerNode(NodeShell):
         training = self._training
         # version whose validation is waited for at the end of the run, and until when
         last_version, give_up_at = None, 0.0
-        taken = 0
-        while not (self._stopping.is_set() and self._queue.empty()):
-            try:
-                item = self._queue.get(timeout=0.2)
-            except queue.Empty:
-                item = None
-            try:
-                if isinstance(item, Transition) and last_version is None:
-                    training.add(item)
-                    taken += 1
-                elif isinstance(item, dict):
-                    self._take_validation(item)
-                    if last_version is not None and item['version'] >= last_version:
-                        break
-            except MessageError as error:
-                self.get_logger().warn(f'left out: {error}', throttle_duration_sec=5.0)
-            if taken % STATUS_EVERY == 0:
-                self._status = training.status()
-            if item == 'save' or training.checkpoint_due():
+        while self._waiting or not self._stopping.is_set():
+            if not self._stopping.is_set():
+                self._take_messages()
+            if self._waiting:
+                self._add(self._waiting.popleft(), learning=last_version is None)
+            else:
+                time.sleep(IDLE_SECONDS)
+            request = None if self._requests.empty() else self._requests.get()
+            if isinstance(request, dict):
+                self._take_validation(request)
+                if last_version is not None and request['version'] >= last_version:
+                    break
+            if request == 'save' or training.checkpoint_due():
                 self.get_logger().info(f'saved {training.save()}')
-            if item == 'validate' or training.weights_due():
-                self._publish_weights(validate=True if item == 'validate' else None)
-            if self._pausing and self._queue.qsize() <= self.settings.queue_limit // 4:
-                self._learner_called.trigger()
+            if request == 'validate' or training.weights_due():
+                self._publish_weights(validate=True if request == 'validate' else None)
             if last_version is not None:
                 if time.monotonic() > give_up_at:
                     self.get_logger().warn('no validation of the last weights came in time')
@@ -197,8 +207,24 @@ class TrainerNode(NodeShell):
                 give_up_at = time.monotonic() + self.settings.last_validation_seconds
         self._complete = training.complete
 
+    def _add(self, transition: Transition, *, learning: bool) -> None:
+        """Learn from a transition; at the end of the run only the validation is waited for."""
+        if not learning:
+            return
+        try:
+            self._training.add(transition)
+        except MessageError as error:
+            self.get_logger().warn(f'left out: {error}', throttle_duration_sec=5.0)
+        if self._training.decisions % STATUS_EVERY == 0:
+            self._status = self._training.status()
+
     def _take_validation(self, values: dict[str, float]) -> None:
-        if self._training.record_validation(values):
+        try:
+            better = self._training.record_validation(values)
+        except MessageError as error:
+            self.get_logger().warn(f'left out: {error}')
+            return
+        if better:
             self.get_logger().info(
                 f'version {values["version"]:.0f} is the best so far: {values["mean"]:.1f}')
 
@@ -216,7 +242,7 @@ class TrainerNode(NodeShell):
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
         """Return the state of learning and of the joiner."""
-        values = {**self._status, 'queue': self._queue.qsize(), 'pausing': self._pausing}
+        values = {**self._status, 'waiting': len(self._waiting), 'pausing': self._pausing}
         values.update({f'transitions_{name}': n for name, n in self._joiner.counts.items() if n})
         if self._failure is not None:
             return DiagnosticStatus.ERROR, f'failed: {self._failure}', values
