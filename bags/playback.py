@@ -10,7 +10,7 @@ import time
 
 import numpy as np
 
-from bags.reader import BagMessage
+from bags.messages import BagMessage
 
 NANOSECONDS = 1e9
 # A sleep wakes some 60 us late; a wait that can be interrupted some 100 us later still.

@@ -15,7 +15,8 @@ from bags.errors import BagError
 from bags.live_qos import offer_for
 from bags.playback import Playback
 from bags.read_ahead import ReadAhead
-from bags.reader import BagMessage, BagReader
+from bags.messages import BagMessage
+from bags.reader import BagReader
 from bags.settings import ALL, names_of, PlayerSettings
 from msgs_bridge.node_shell import Finished, message_class, NodeShell, run_node
 from msgs_bridge.stamps import set_stamp

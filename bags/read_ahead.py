@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import queue
 import threading
 
-from bags.reader import BagMessage
+from bags.messages import BagMessage
 
 # a chunk holds some hundred messages; two batches of this size wait at most
 BATCH = 256

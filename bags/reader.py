@@ -8,52 +8,14 @@ What the files hold counts, not what `metadata.yaml` says of it; where the two d
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
-import dataclasses
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
 
 from bags.errors import BagError
-from bags.mcap_file import ENCODING, McapFile
+from bags.mcap_file import McapFile
+from bags.messages import BagMessage, BagTopic, Storage
 from bags.metadata import BagMetadata, FILE_NAME, read_metadata
 from bags.qos_text import qos_from_text
 from bags.schemas import Schema
-
-
-class BagMessage(NamedTuple):
-    """One message: its topic, log and publish time in ns, serialized bytes."""
-
-    topic: str
-    log_time: int
-    publish_time: int
-    data: memoryview | bytes
-
-
-@dataclasses.dataclass
-class BagTopic:
-    """One topic of a bag; `message_count` is -1 when nothing in the file says it."""
-
-    name: str
-    type_name: str
-    schema: Schema
-    qos: list[dict[str, Any]]
-    message_count: int = 0
-    encoding: str = ENCODING
-
-
-class Storage(Protocol):
-    """What a storage of a bag offers; see `BagReader` for the meaning."""
-
-    topics: dict[str, BagTopic]
-    start_time: int
-    end_time: int
-    message_count: int
-
-    def messages(
-        self, names: Collection[str], start: int, stop: int) -> Iterator[BagMessage]:
-        """Yield messages by log time."""
-
-    def close(self) -> None:
-        """Let go of the files."""
 
 
 class BagReader:

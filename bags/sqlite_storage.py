@@ -12,7 +12,7 @@ from rosbags.rosbag2.metadata import dump_qos_v9
 
 from bags.errors import BagError
 from bags.qos_text import normalize_qos
-from bags.reader import BagMessage, BagTopic
+from bags.messages import BagMessage, BagTopic
 from bags.schemas import Schema, schema_of
 
 

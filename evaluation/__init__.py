@@ -13,7 +13,7 @@ _PLACES = {
     'PolicySource': 'policies',
     'Statistics': 'statistics',
     'drive_lap': 'laps',
-    'drive_laps': 'laps',
+    'drive_laps': 'lap_series',
     'lap_picture': 'lap_picture',
     'load_run': 'records',
     'statistics_of': 'statistics',

@@ -13,7 +13,8 @@ import sys
 import time
 
 from evaluation.errors import EvaluationError
-from evaluation.laps import drive_laps, Lap
+from evaluation.lap_series import drive_laps
+from evaluation.laps import Lap
 from evaluation.policies import MODEL, parse_policy, PolicySource
 from evaluation.progress import LapProgress, summary_table
 from evaluation.results import describe_machine, Results, resume, write_csv, write_json

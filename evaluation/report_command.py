@@ -13,7 +13,8 @@ from typing import Any
 from evaluation.comparison import compare, judge
 from evaluation.errors import EvaluationError
 from evaluation.figure_style import save_figure
-from evaluation.laps import drive_laps, Lap
+from evaluation.lap_series import drive_laps
+from evaluation.laps import Lap
 from evaluation.policies import MODEL, PolicySource, RANDOM
 from evaluation.records import add_results, load_run, Run
 from evaluation.report_page import lap_pictures, make_pictures, markdown, render

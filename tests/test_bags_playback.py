@@ -7,7 +7,7 @@ import time
 from bags.errors import BagError
 from bags.playback import Playback
 from bags.read_ahead import ReadAhead
-from bags.reader import BagMessage
+from bags.messages import BagMessage
 from bags.recording import Recording
 from bags.writer import BagWriter
 import pytest

@@ -3,7 +3,7 @@
 """The same laps over topics."""
 from bringup.graph_laps import run_graph
 from evaluation.errors import EvaluationError
-from evaluation.laps import drive_laps
+from evaluation.lap_series import drive_laps
 from evaluation.policies import PolicySource
 from evaluation.through_graph import consecutive, drive_laps_through_graph
 from msgs_bridge.errors import BridgeError

@@ -5,7 +5,8 @@ import sys
 
 from carracing_sim_node import make_env
 from evaluation.errors import EvaluationError, PolicyError
-from evaluation.laps import drive_lap, drive_laps
+from evaluation.lap_series import drive_laps
+from evaluation.laps import drive_lap
 from evaluation.policies import parse_policy, PolicySource
 from evaluation.simulators import make_simulator
 from evaluation.validator import validate
