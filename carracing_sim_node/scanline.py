@@ -3,9 +3,9 @@
 """
 Draws the 96x96 observation without ever building gymnasium's 1000x800 surface.
 
-The surface is made in bands of 25 rows, each of which shrinks to exactly three rows of the
+The surface is made in bands of 100 rows, each of which shrinks to exactly twelve rows of the
 observation and stays in the processor's cache meanwhile. While a band is drawn, `mixed` notes
-which of its 3x96 windows may hold more than one colour; the others, most of the picture, need
+which of its 12x96 windows may hold more than one colour; the others, most of the picture, need
 no averaging at all.
 
 Polygons are kept in the surface's coordinates before gymnasium flips it (y from the bottom of the
@@ -42,14 +42,14 @@ from carracing_sim_node.edges import quad_rows
 from carracing_sim_node.shrink_filter import shrink_tables
 
 OUT = 96
-BAND_ROWS = 25
-BAND_OUT = 3
+BAND_ROWS = 100
+BAND_OUT = BAND_ROWS * OUT // HEIGHT
 BANDS = HEIGHT // BAND_ROWS
 
-PANEL_BANDS = 4
-"""Bands at the bottom of the picture that the black instrument panel covers entirely."""
+PANEL_ROWS = 100
+"""Rows at the bottom of the picture that the black instrument panel covers entirely."""
 
-PANEL_ROWS = PANEL_BANDS * BAND_ROWS
+PANEL_BANDS = PANEL_ROWS // BAND_ROWS
 
 MAX_CAR_RUNS = 4096
 """
@@ -84,6 +84,13 @@ _Y_FIRST_WEIGHT = Y_AXIS.first_weight
 _Y_LAST_WEIGHT = Y_AXIS.last_weight
 _Y_RECIPROCAL = Y_AXIS.reciprocal
 _FLAT = Y_AXIS.flat[X_AXIS.flat]
+
+# The first and last row of each output row of a band, and the first and last output row to which
+# each row of a band adds: the same for every band.
+_GROUP_FIRST = Y_AXIS.first[:BAND_OUT]
+_GROUP_LAST = Y_AXIS.last[:BAND_OUT]
+_ROW_LOW = Y_AXIS.window_low[:BAND_ROWS]
+_ROW_HIGH = Y_AXIS.window_high[:BAND_ROWS]
 
 
 class Scratch(NamedTuple):
@@ -155,18 +162,6 @@ def mark(mixed, first_group, last_group, first_x, last_x):
     for group in range(first_group, last_group + 1):
         for column in range(low, high + 1):
             mixed[group, column] = 1
-
-
-@compiled
-def group_of(row):
-    """Return the first of the three output rows of a band to which `row` adds."""
-    return 0 if row <= 8 else (1 if row <= 16 else 2)
-
-
-@compiled
-def last_group_of(row):
-    """Return the last of the three output rows of a band to which `row` adds."""
-    return 0 if row <= 7 else (1 if row <= 15 else 2)
 
 
 @compiled
@@ -279,12 +274,10 @@ def fill_simple_quad(band, mixed, left, right, shift, top, low, high, rgb):
         place = np.uint64(shift + y)
         fill_run(band, top - y, left[place], right[place], rgb)
 
-    for group in range(BAND_OUT):
+    for group in range(_ROW_LOW[top - high], _ROW_HIGH[top - low] + 1):
         # Rows of this group, as y: 9 of them, the ones at its ends shared with its neighbours.
-        group_low = max(top - 8 * (group + 1), low)
-        group_high = min(top - 8 * group, high)
-        if group_low > group_high:
-            continue
+        group_low = max(top - _GROUP_LAST[group], low)
+        group_high = min(top - _GROUP_FIRST[group], high)
         min_left = max_left = left[shift + group_low]
         min_right = max_right = right[shift + group_low]
         for y in range(group_low + 1, group_high + 1):
@@ -321,7 +314,7 @@ def fill_split_quad(band, mixed, xs, ys, runs, top, low, high, rgb):
         row = top - y
         for i in range(found):
             fill_run(band, row, runs[2 * i], runs[2 * i + 1], rgb)
-            mark(mixed, group_of(row), last_group_of(row), runs[2 * i], runs[2 * i + 1])
+            mark(mixed, _ROW_LOW[row], _ROW_HIGH[row], runs[2 * i], runs[2 * i + 1])
 
 
 @compiled
@@ -359,13 +352,13 @@ def draw_edge(band, mixed, edges, quad, side, left, right, shift, simple, top, r
         if low <= high:
             for y in range(low, high + 1):
                 band[top - y, x0] = rgb
-            mark(mixed, group_of(top - high), last_group_of(top - low), x0, x0)
+            mark(mixed, _ROW_LOW[top - high], _ROW_HIGH[top - low], x0, x0)
         return
     if kind == HORIZONTAL:
         if bottom <= y0 <= top:
             row = top - y0
             fill_run(band, row, x0, x0 + steps, rgb)
-            mark(mixed, group_of(row), last_group_of(row), x0, x0 + steps)
+            mark(mixed, _ROW_LOW[row], _ROW_HIGH[row], x0, x0 + steps)
         return
 
     first_x = edges[quad, side, FIRST_X]
@@ -373,7 +366,7 @@ def draw_edge(band, mixed, edges, quad, side, left, right, shift, simple, top, r
     if bottom <= first_y <= top:
         row = top - first_y
         band[row, first_x] = rgb
-        mark(mixed, group_of(row), last_group_of(row), first_x, first_x)
+        mark(mixed, _ROW_LOW[row], _ROW_HIGH[row], first_x, first_x)
 
     slope = edges[quad, side, SLOPE]
     x_step = edges[quad, side, X_STEP]
@@ -410,10 +403,10 @@ def draw_edge(band, mixed, edges, quad, side, left, right, shift, simple, top, r
             open_weight = open_weight if (x < inner) | (x > outer) else 0
             column = np.uint64(x)
             band[row, column] = blend(band[row, column], rgb, open_weight)
-        for group in range(BAND_OUT):
-            a = max(first, top - 8 * (group + 1) - y0)
-            b = min(last, top - 8 * group - y0)
-            if a <= b:
+        if first <= last:
+            for group in range(_ROW_LOW[top - y0 - last], _ROW_HIGH[top - y0 - first] + 1):
+                a = max(first, top - _GROUP_LAST[group] - y0)
+                b = min(last, top - _GROUP_FIRST[group] - y0)
                 start = x0 + x_step * (a * slope >> 16)
                 end = x0 + x_step * ((b * slope >> 16) + 1)
                 mark(mixed, group, group, min(start, end), max(start, end))
@@ -450,8 +443,14 @@ def draw_edge(band, mixed, edges, quad, side, left, right, shift, simple, top, r
             inside = simple and (x >= left[place]) & (x <= right[place])
             open_weight = 0 if inside else open_weight
             band[row, column] = blend(band[row, column], rgb, open_weight)
-    for group in range(BAND_OUT):
-        a, b = steps_in_rows(slope, steps, top - 8 * (group + 1) - 1 - y0, top - 8 * group - y0)
+    if first > last:
+        return
+    lowest = max(y0 + (first * slope >> 16), bottom)
+    highest = min(y0 + (last * slope >> 16) + 1, top)
+    for group in range(_ROW_LOW[top - highest], _ROW_HIGH[top - lowest] + 1):
+        a, b = steps_in_rows(
+            slope, steps, top - _GROUP_LAST[group] - 1 - y0, top - _GROUP_FIRST[group] - y0
+        )
         if a <= b:
             start = x0 + x_step * a
             end = x0 + x_step * b
@@ -517,7 +516,7 @@ def draw_car(band, mixed, car_runs, count, top):
         row = top - car_runs[i, 0]
         if 0 <= row < BAND_ROWS:
             fill_run(band, row, car_runs[i, 1], car_runs[i, 2], np.uint32(car_runs[i, 3]))
-            mark(mixed, group_of(row), last_group_of(row), car_runs[i, 1], car_runs[i, 2])
+            mark(mixed, _ROW_LOW[row], _ROW_HIGH[row], car_runs[i, 1], car_runs[i, 2])
 
 
 @compiled
@@ -541,20 +540,20 @@ def draw_panel(band, mixed, bars, bar_colours, text, text_x, text_y, first_row):
         if low <= high:
             for row in range(low, high + 1):
                 fill_run(band, row, bars[i, 0], bars[i, 1], bar_colours[i])
-            mark(mixed, group_of(low), last_group_of(high), bars[i, 0], bars[i, 1])
+            mark(mixed, _ROW_LOW[low], _ROW_HIGH[high], bars[i, 0], bars[i, 1])
     low = max(text_y, first_row) - first_row
     high = min(text_y + text.shape[0], first_row + BAND_ROWS) - 1 - first_row
     if low <= high:
         for row in range(low, high + 1):
             for x in range(max(text_x, 0), min(text_x + text.shape[1], WIDTH)):
                 band[row, x] = text[row + first_row - text_y, x - text_x]
-        mark(mixed, group_of(low), last_group_of(high), text_x, text_x + text.shape[1] - 1)
+        mark(mixed, _ROW_LOW[low], _ROW_HIGH[high], text_x, text_x + text.shape[1] - 1)
 
 
 @compiled
 def shrink_band(band, mixed, index, out):
     """
-    Shrink the band `index` to rows 3 * index to 3 * index + 2 of `out`.
+    Shrink the band `index` to its rows of `out`.
 
     Args:
         band: uint32 (BAND_ROWS, WIDTH).
