@@ -3,8 +3,7 @@
 """From image to twist: network, preprocessing, action sets and model folders."""
 from __future__ import annotations
 
-import importlib
-from typing import Any
+from msgs_bridge.lazy_names import lazy_names
 
 # imported on first use, because torch takes a second to load
 _PLACES = {
@@ -20,8 +19,4 @@ _PLACES = {
 
 __all__ = list(_PLACES)
 
-
-def __getattr__(name: str) -> Any:
-    if name not in _PLACES:
-        raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
-    return getattr(importlib.import_module(f'{__name__}.{_PLACES[name]}'), name)
+__getattr__ = lazy_names(__name__, _PLACES)
