@@ -72,7 +72,7 @@ class Resimulator:
         self._seeds = _episode_seeds(reader, namespace)
         self._frame_limit = int(
             self._simulator.get('max_episode_frames') or _frame_limit(reader, namespace))
-        self._variant: tuple[bool, bool, int] | None = None
+        self._variant: dict[str, Any] | None = None
         self._env: Any = None
         self._stream_at: int | None = None
         self._driving: int | None = None
@@ -120,16 +120,17 @@ class Resimulator:
 
     def _prepare(self, facts: dict[str, float]) -> None:
         """Make the environment of the variant that a frame names."""
-        variant = (facts.get('zoom', 1) > 0, facts.get('domain_randomize', 0) > 0,
-                   int(facts.get('early_end_frames', 0)))
+        variant = {
+            'zoom': facts.get('zoom', 1) > 0,
+            'domain_randomize': facts.get('domain_randomize', 0) > 0,
+            'early_end_frames': int(facts.get('early_end_frames', 0)),
+            'early_end_lap': facts.get('early_end_lap', 0) > 0}
         if variant == self._variant:
             return
         # the simulator is needed for nothing else in this package
         from carracing_sim_node import make_env
-        zoom, domain_randomize, early_end_frames = self._variant = variant
-        self._env = make_env(
-            zoom=zoom, domain_randomize=domain_randomize, early_end_frames=early_end_frames,
-            max_episode_steps=self._frame_limit)
+        self._variant = variant
+        self._env = make_env(**variant, max_episode_steps=self._frame_limit)
         self._stream_at = None
 
     def _reset_in_stream(self, number: int) -> np.ndarray:
@@ -187,15 +188,16 @@ class Resimulator:
         flags = {
             'terminated': terminated, 'truncated': truncated, 'left_field': left_field,
             'lap_finished': known.lap_finished and not left_field,
-            'ended_early': known.ended_early}
+            'ended_early': known.ended_early, 'came_round': known.came_round}
         wrong = [name for name, value in flags.items() if name in facts and facts[name] != value]
         result.differing_flags += bool(wrong)
         differences += wrong
         expected = {
             'step': known.frames, 'episode_return': self._return,
             'tiles_visited': known.tiles_visited, 'tiles_total': known.tiles_total,
-            'tiles_missed': known.tiles_missed, 'wheels_off_road': known.wheels_off_road,
-            'speed': known.speed, 'standing_still': known.standing_still}
+            'tiles_missed': known.tiles_missed, 'lap_position': known.lap_position,
+            'wheels_off_road': known.wheels_off_road, 'speed': known.speed,
+            'standing_still': known.standing_still}
         wrong = [name for name, value in expected.items()
                  if name in facts and facts[name] != value]
         result.differing_facts += bool(wrong)

@@ -96,6 +96,7 @@ def train(
         'seed_each_episode': True,
         'first_episode': episodes,
         'early_end_frames': hyperparameters.early_end_frames,
+        'early_end_lap': hyperparameters.early_end_lap,
         'wait_for_subscribers': 2 if arguments.bag else 1,
     }
     # the simulator listens to the policy, too

@@ -44,6 +44,7 @@ class Drive:
         self.env = make_env(
             action_repeat=settings.action_repeat, zoom=settings.zoom,
             early_end_frames=settings.early_end_frames,
+            early_end_lap=settings.early_end_lap,
             domain_randomize=settings.domain_randomize,
             max_episode_steps=settings.max_episode_frames, renderer=settings.renderer)
         self.episode = settings.first_episode - 1
@@ -122,6 +123,7 @@ class Drive:
             'lap_finished': known.lap_finished and not left_field,
             'left_field': left_field,
             'ended_early': known.ended_early,
+            'came_round': known.came_round,
             'episode': self.episode,
             'seed': self.seed,
             'decision': self.decision,
@@ -130,6 +132,7 @@ class Drive:
             'tiles_visited': known.tiles_visited,
             'tiles_total': known.tiles_total,
             'tiles_missed': known.tiles_missed,
+            'lap_position': known.lap_position,
             'wheels_off_road': known.wheels_off_road,
             'speed': known.speed,
             'standing_still': known.standing_still,
@@ -142,6 +145,7 @@ class Drive:
             'zoom': self.settings.zoom,
             'domain_randomize': self.settings.domain_randomize,
             'early_end_frames': self.settings.early_end_frames,
+            'early_end_lap': self.settings.early_end_lap,
         }
 
     def _summary(self, facts: dict[str, float]) -> dict[str, float]:

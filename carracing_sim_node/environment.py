@@ -57,7 +57,7 @@ class CarRacingEnvironment(gymnasium.Env):
     Terminated when every tile is visited (`info['lap_finished']` is True; gymnasium's
     `lap_complete_percent` has no effect in v3, gymnasium issue 1269), or when the car leaves
     the playfield of 333.3 units (`info['lap_finished']` is False). Truncated after
-    `max_episode_steps` frames, and by the variant `early_end_frames`.
+    `max_episode_steps` frames, and by the variants `early_end_frames` and `early_end_lap`.
     """
 
     metadata = {'render_modes': ['rgb_array'], 'render_fps': FPS}
@@ -68,6 +68,7 @@ class CarRacingEnvironment(gymnasium.Env):
         action_repeat: int = 1,
         zoom: bool = True,
         early_end_frames: int = 0,
+        early_end_lap: bool = False,
         domain_randomize: bool = False,
         max_episode_steps: int | None = MAX_EPISODE_STEPS,
         renderer: str = 'auto',
@@ -86,6 +87,7 @@ class CarRacingEnvironment(gymnasium.Env):
             _check_count('max_episode_steps', max_episode_steps, least=1)
         for name, value in (
             ('zoom', zoom),
+            ('early_end_lap', early_end_lap),
             ('domain_randomize', domain_randomize),
             ('continuous', continuous),
         ):
@@ -98,6 +100,7 @@ class CarRacingEnvironment(gymnasium.Env):
         self.action_repeat = int(action_repeat)
         self.zoom = bool(zoom)
         self.early_end_frames = int(early_end_frames)
+        self.early_end_lap = bool(early_end_lap)
         self.max_episode_steps = max_episode_steps
         self.continuous = bool(continuous)
         self._sim, self._renderer = build(
@@ -174,7 +177,7 @@ class CarRacingEnvironment(gymnasium.Env):
             has terminated; whether it was truncated; and gymnasium's info. With an action
             repeat above 1 `info['frames']` is how many frames were simulated: the group stops
             at the frame that ends the episode. `info['ended_early']` is there, and True, when
-            the variant `early_end_frames` ended it.
+            a variant, `early_end_frames` or `early_end_lap`, ended it.
 
         Raises:
             InvalidActionError: If the action is not an element of the action space.
@@ -205,7 +208,9 @@ class CarRacingEnvironment(gymnasium.Env):
             if sim.frames == self.max_episode_steps:
                 truncated = True
             waited = sim.frames - self._last_new_tile
-            if 0 < self.early_end_frames <= waited and not terminated:
+            if not terminated and (
+                    0 < self.early_end_frames <= waited
+                    or self.early_end_lap and sim.contacts.progress.came_round):
                 truncated = self._ended_early = True
                 info['ended_early'] = True
             if terminated or truncated:
@@ -230,9 +235,11 @@ class CarRacingEnvironment(gymnasium.Env):
             tiles_visited=sim.tile_visited_count,
             tiles_total=len(sim.track),
             tiles_missed=sim.contacts.progress.missed,
+            lap_position=sim.contacts.progress.position,
             wheels_off_road=0.25 * sum(not wheel.tiles for wheel in sim.car.wheels),
             speed=sim.speed,
             standing_still=sim.standing_still,
+            came_round=sim.contacts.progress.came_round,
             lap_finished=self._lap_finished,
             ended_early=self._ended_early,
         )
@@ -330,6 +337,7 @@ def make_env(
     action_repeat: int = 1,
     zoom: bool = True,
     early_end_frames: int = 0,
+    early_end_lap: bool = False,
     domain_randomize: bool = False,
     max_episode_steps: int | None = MAX_EPISODE_STEPS,
     renderer: str = 'auto',
@@ -343,6 +351,8 @@ def make_env(
         zoom: False draws the first second with the zoom that follows it (a variant).
         early_end_frames: Truncate an episode after this many frames without a new tile
             (a variant); 0 never does.
+        early_end_lap: Truncate an episode when the car has come round to the start and left
+            tiles behind unvisited (a variant).
         domain_randomize: Gymnasium's own variant: other colours with every reset.
         max_episode_steps: Truncate after this many frames; None never does.
         renderer: `fast` (raises if it cannot run), `stock` (gymnasium's own code throughout), or
@@ -357,6 +367,7 @@ def make_env(
         action_repeat=action_repeat,
         zoom=zoom,
         early_end_frames=early_end_frames,
+        early_end_lap=early_end_lap,
         domain_randomize=domain_randomize,
         max_episode_steps=max_episode_steps,
         renderer=renderer,

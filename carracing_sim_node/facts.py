@@ -25,6 +25,9 @@ class Facts(NamedTuple):
     tiles_missed: int
     """Tiles that the car has left behind unvisited; see `progress.TileProgress`."""
 
+    lap_position: int
+    """Tiles driven along the lap, less those driven back; see `progress.TileProgress`."""
+
     wheels_off_road: float
     """Share of the four wheels that touch no road tile: 0, 0.25, 0.5, 0.75 or 1."""
 
@@ -34,8 +37,11 @@ class Facts(NamedTuple):
     standing_still: int
     """Consecutive frames, up to this one, with a speed below `simulation.STANDING_SPEED`."""
 
+    came_round: bool
+    """The car has come round to the start and left the last tile behind, whatever it missed."""
+
     lap_finished: bool
     """The episode has ended with every tile visited."""
 
     ended_early: bool
-    """The variant `early_end_frames` has ended this episode."""
+    """A variant, `early_end_frames` or `early_end_lap`, has ended this episode."""

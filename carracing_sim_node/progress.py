@@ -24,13 +24,13 @@ class TileProgress:
     not beyond the head, so nothing is missed by reversing.
     """
 
-    __slots__ = ('_checked', '_missed', '_position', '_total', '_visited', 'head')
+    __slots__ = ('_checked', '_missed', '_total', '_visited', 'head', 'position')
 
     def __init__(self, total: int) -> None:
         """Start at tile 0 of a lap of `total` tiles with nothing visited."""
         self._total = total
         self._visited = bytearray(total)
-        self._position = 0
+        self.position = 0
         self._checked = 0
         self._missed: set[int] = set()
         self.head = 0
@@ -39,6 +39,11 @@ class TileProgress:
     def missed(self) -> int:
         """Tiles left behind unvisited at this moment."""
         return len(self._missed)
+
+    @property
+    def came_round(self) -> bool:
+        """Return whether the head has passed the start line and every tile before it."""
+        return self.head >= self._total + PASSED_BEHIND - 1
 
     @property
     def missed_tiles(self) -> frozenset[int]:
@@ -51,14 +56,14 @@ class TileProgress:
         if not self._visited[index]:
             self._visited[index] = 1
             self._missed.discard(index)
-        ahead = (index - self._position) % total
+        ahead = (index - self.position) % total
         if ahead == 0:
             return
         if ahead > total // 2:
             ahead -= total
-        self._position += ahead
-        if self._position > self.head:
-            self.head = self._position
+        self.position += ahead
+        if self.position > self.head:
+            self.head = self.position
             end = min(self.head - PASSED_BEHIND + 1, total)
             for tile in range(self._checked, end):
                 if not self._visited[tile]:

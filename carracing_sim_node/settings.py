@@ -34,6 +34,8 @@ class SimulatorSettings:
     early_end_frames: int = setting(
         0, 'variant, for training: truncate after this many frames without a new tile; '
         '0 = never', low=0, high=10**6)
+    early_end_lap: bool = setting(
+        False, 'variant, for training: truncate when the car has come round and missed tiles')
     zoom: bool = setting(True, 'false: variant without the zoom of the first second')
     domain_randomize: bool = setting(False, "true: gymnasium's variant with random colours")
     renderer: str = setting(

@@ -19,6 +19,9 @@ from dqn_policy_node.preprocessing import Preprocessor
 from dqn_policy_node.weights_message import WeightsUpdate
 from msgs_bridge.twists import Action
 
+# of the lengths of explorations: three of five last one decision, one of six four or more
+ZETA_EXPONENT = 2.0
+
 
 class Decision(NamedTuple):
     """
@@ -80,6 +83,8 @@ class Policy(_HeldAction):
         action_repeat: frames for which `act` holds an action; the model's own at first.
         epsilon: share of random actions, 0 = always the best.
         gas_weight: how much likelier than others a random action is one with gas.
+        exploration_hold: most decisions for which a random action is held; how many is drawn
+            from a zeta distribution of exponent 2 (arXiv 2006.01782).
         version: version of the weights.
     """
 
@@ -93,6 +98,8 @@ class Policy(_HeldAction):
         self.action_repeat = description.action_repeat
         self.epsilon = 0.0
         self.gas_weight = 1.0
+        self.exploration_hold = 1
+        self._explored_index, self._explorations_left = 0, 0
         self.version = 0
         self._device = torch.device(device)
         self._network = QNetwork(description).to(self._device).eval()
@@ -107,6 +114,7 @@ class Policy(_HeldAction):
         """Start an episode: forget frames and held action; a seed restarts the exploration."""
         self._stack.reset()
         self._held, self._frames_left = None, 0
+        self._explorations_left = 0
         if seed is not None:
             self._random = np.random.default_rng(seed)
 
@@ -124,8 +132,8 @@ class Policy(_HeldAction):
         if elapsed is None:
             elapsed = self.action_repeat
         q_values = self.q_values(self._stack.push(self._preprocess(frame), elapsed))
-        explored = self.epsilon > 0 and self._random.random() < self.epsilon
-        index = self._random_index() if explored else int(q_values.argmax())
+        explored = self._explores()
+        index = self._explored_index if explored else int(q_values.argmax())
         return Decision(index, self.action_set.actions[index], q_values, bool(explored))
 
     @torch.inference_mode()
@@ -148,6 +156,20 @@ class Policy(_HeldAction):
         self.version = update.version
         self.epsilon = update.epsilon
         self.gas_weight = update.gas_weight
+        self.exploration_hold = update.exploration_hold
+
+    def _explores(self) -> bool:
+        """Return whether to act at random now, by `_explored_index`."""
+        if self._explorations_left == 0:
+            if not (self.epsilon > 0 and self._random.random() < self.epsilon):
+                return False
+            self._explored_index = self._random_index()
+            self._explorations_left = 1
+            if self.exploration_hold > 1:
+                self._explorations_left = int(min(
+                    self._random.zipf(ZETA_EXPONENT), self.exploration_hold))
+        self._explorations_left -= 1
+        return True
 
     def _random_index(self) -> int:
         if self.gas_weight == 1:

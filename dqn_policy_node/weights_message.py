@@ -16,6 +16,7 @@ from dqn_policy_node.safetensors_image import pack, read_metadata, tensors_sha25
 
 FORMAT = 'carracing_dqn weights 1'
 METADATA_KEY = 'carracing_dqn'
+MAX_HOLD = 1000
 
 
 @dataclasses.dataclass(frozen=True)
@@ -29,6 +30,7 @@ class WeightsUpdate:
         version: number of the version, rising.
         epsilon: share of random actions, 0 to 1.
         gas_weight: how much likelier than others a random action is one with gas.
+        exploration_hold: most decisions for which a random action is held.
         validate: whether the trainer asks for a validation of this version.
         extra: further values that the trainer wanted to hand on.
     """
@@ -38,6 +40,7 @@ class WeightsUpdate:
     version: int
     epsilon: float = 0.0
     gas_weight: float = 1.0
+    exploration_hold: int = 1
     validate: bool = False
     extra: dict[str, Any] = dataclasses.field(default_factory=dict)
 
@@ -49,14 +52,15 @@ def encode_weights(
     version: int,
     epsilon: float = 0.0,
     gas_weight: float = 1.0,
+    exploration_hold: int = 1,
     validate: bool = False,
     extra: dict[str, Any] | None = None,
 ) -> bytes:
     """Return the bytes to publish; `WeightsUpdate` describes the values."""
     record = {
         'format': FORMAT,
-        'version': version, 'epsilon': epsilon, 'gas_weight': gas_weight, 'validate': validate,
-        'extra': extra or {},
+        'version': version, 'epsilon': epsilon, 'gas_weight': gas_weight,
+        'exploration_hold': exploration_hold, 'validate': validate, 'extra': extra or {},
         'description': description.to_json(),
         'description_sha256': description.sha256(),
         'sha256': tensors_sha256(tensors),
@@ -105,6 +109,8 @@ def decode_weights(data: bytes, description: ModelDescription | None = None) -> 
     try:
         version, validate, extra = record['version'], record['validate'], record['extra']
         epsilon, gas_weight = float(record['epsilon']), float(record['gas_weight'])
+        # images of before the field have none
+        hold = record.get('exploration_hold', 1)
     except (KeyError, ValueError, TypeError, OverflowError) as error:
         raise ModelError(f'weights image without readable values: {error}') from None
     if type(version) is not int or not 0 <= version < 2**53:
@@ -113,6 +119,8 @@ def decode_weights(data: bytes, description: ModelDescription | None = None) -> 
         raise ModelError(f'weights epsilon {epsilon!r}; accepted: 0 to 1')
     if not (math.isfinite(gas_weight) and 0 < gas_weight <= 1000):
         raise ModelError(f'weights gas_weight {gas_weight!r}; accepted: above 0, up to 1000')
+    if type(hold) is not int or not 1 <= hold <= MAX_HOLD:
+        raise ModelError(f'weights exploration_hold {hold!r}; accepted: 1 to {MAX_HOLD}')
     if type(validate) is not bool or not isinstance(extra, dict):
         raise ModelError('weights image with values of the wrong type')
-    return WeightsUpdate(tensors, own, version, epsilon, gas_weight, validate, extra)
+    return WeightsUpdate(tensors, own, version, epsilon, gas_weight, hold, validate, extra)

@@ -32,6 +32,7 @@ def nodes(context: object) -> list:
             'seed': preset.seed,
             'seed_each_episode': True,
             'early_end_frames': preset.early_end_frames,
+            'early_end_lap': preset.early_end_lap,
             'wait_for_subscribers': 1,
         }]),
         RegisterEventHandler(OnProcessExit(

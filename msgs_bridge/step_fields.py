@@ -8,7 +8,8 @@ STEP_FIELDS = {
     'truncated': '1 on the last frame of an episode that was cut off (frames or early end)',
     'lap_finished': '1 when all tiles were visited',
     'left_field': '1 when the car left the playfield',
-    'ended_early': '1 when the early-end variant cut the episode',
+    'ended_early': '1 when an early-end variant cut the episode',
+    'came_round': '1 when the car is back at the start, whatever it missed',
     'episode': 'number of the episode, from 0',
     'seed': 'seed of the track; -1 when it came from the stream of the first seed',
     'decision': 'number of the published frame within its episode, from 0 (the reset frame)',
@@ -17,6 +18,7 @@ STEP_FIELDS = {
     'tiles_visited': 'tiles visited so far',
     'tiles_total': 'tiles of the track',
     'tiles_missed': 'tiles left behind unvisited',
+    'lap_position': 'tiles driven along the lap, less those driven back; not wrapped at the start',
     'wheels_off_road': 'share of the wheels that touch no road tile, 0 to 1',
     'speed': 'speed over ground in units of the physics per second (about m/s)',
     'standing_still': 'simulator frames in a row the car has stood still',
@@ -29,6 +31,7 @@ STEP_FIELDS = {
     'zoom': '1 with the first-second zoom of the environment, 0 in the variant without',
     'domain_randomize': '1 in the variant with random colours',
     'early_end_frames': 'frames without a new tile that end an episode; 0 = never',
+    'early_end_lap': '1 in the variant that ends an episode when the car has come round',
 }
 
 EPISODE_FIELDS = {
@@ -39,7 +42,7 @@ EPISODE_FIELDS = {
     'decisions': 'frames published after the reset frame',
     'lap_finished': '1 when all tiles were visited',
     'left_field': '1 when the car left the playfield',
-    'ended_early': '1 when the early-end variant cut it',
+    'ended_early': '1 when an early-end variant cut it',
     'terminated': '1 when it ended by the rules',
     'truncated': '1 when it was cut off',
     'tiles_visited': 'tiles visited',

@@ -21,9 +21,10 @@ def tiny(**changes):
 def make_facts(**changes):
     return {
         'reward': 0.0, 'terminated': 0.0, 'truncated': 0.0, 'lap_finished': 0.0,
-        'left_field': 0.0, 'ended_early': 0.0, 'episode': 0.0, 'decision': 0.0, 'step': 0.0,
-        'episode_return': 0.0, 'tiles_visited': 0.0, 'tiles_total': 300.0, 'tiles_missed': 0.0,
-        'wheels_off_road': 0.0, 'speed': 0.0, 'standing_still': 0.0, 'frames': 4.0, **changes}
+        'left_field': 0.0, 'ended_early': 0.0, 'came_round': 0.0, 'episode': 0.0, 'decision': 0.0,
+        'step': 0.0, 'episode_return': 0.0, 'tiles_visited': 0.0, 'tiles_total': 300.0,
+        'tiles_missed': 0.0, 'lap_position': 0.0, 'wheels_off_road': 0.0, 'speed': 0.0,
+        'standing_still': 0.0, 'frames': 4.0, **changes}
 
 
 def stream(count, *, seed=0, episode_length=13, terminated_share=0.5):

@@ -156,6 +156,23 @@ def test_a_finished_lap_never_counts_as_an_early_end():
     assert facts.tiles_visited == facts.tiles_total and facts.tiles_missed == 0
 
 
+def test_the_lap_variant_ends_where_the_car_has_come_round():
+    env = make_env(early_end_lap=True)
+    env.reset(seed=8)
+    progress = env._sim.contacts.progress
+    # as if the car had passed by a tile without a wheel on it
+    driver = Driver(env, 'lap')
+    env._sim.road[40].road_visited = True
+    terminated = truncated = False
+    while not terminated and not truncated:
+        _, _, terminated, truncated, info = env.step(driver.act(), draw=False)
+    facts = env.facts()
+    assert (terminated, truncated, info) == (False, True, {'ended_early': True})
+    assert facts.came_round and facts.ended_early and not facts.lap_finished
+    assert facts.tiles_visited == facts.tiles_total - 1
+    assert progress.head == facts.tiles_total + PASSED_BEHIND - 1
+
+
 def test_skipped_drawing_returns_no_frame_and_changes_nothing_else():
     drawn, blind = make_env(), make_env()
     drawn.reset(seed=6)
@@ -291,15 +308,15 @@ def test_progress_at_the_end_of_a_lap_and_beyond():
     for tile in range(50):
         if tile != 30:
             progress.touch(tile)
-    assert progress.missed_tiles == {30}
+    assert progress.missed_tiles == {30} and not progress.came_round
     for tile in range(10):
         progress.touch(tile)
     assert progress.missed_tiles == {30}
-    assert progress.head == 59
+    assert progress.head == 59 and progress.came_round
     late = TileProgress(50)
     for tile in (*range(48), 0, 1, 2):
         late.touch(tile)
-    assert late.missed_tiles == {48, 49}
+    assert late.missed_tiles == {48, 49} and late.came_round
     assert PASSED_BEHIND == 3
 
 

@@ -91,16 +91,25 @@ def test_without_weights_the_reward_is_the_environments_own():
 
 def test_each_term_by_hand():
     own = tiny(tile_missed_penalty=10, off_road_penalty=0.1, progress_weight=30, speed_weight=0.5,
-               time_penalty=0.2, finish_bonus=20, left_field_refund=90, early_end_penalty=7)
-    facts = make_facts(tiles_missed=5, tiles_visited=12, wheels_off_road=0.5, speed=40,
-                       lap_finished=1, left_field=1, ended_early=1, frames=3, reward=1)
-    terms = shaping_terms(own, facts, make_facts(tiles_missed=3, tiles_visited=10))
+               time_penalty=0.2, finish_bonus=20, left_field_refund=90, early_end_penalty=7,
+               position_weight=60)
+    facts = make_facts(tiles_missed=5, lap_position=15, tiles_visited=12, wheels_off_road=0.5,
+                       speed=40, lap_finished=1, left_field=1, ended_early=1, frames=3, reward=1)
+    before = make_facts(tiles_missed=3, tiles_visited=10, lap_position=20)
+    terms = shaping_terms(own, facts, before)
     assert terms == pytest.approx({
-        'tile_missed': -20, 'off_road': -0.15, 'standing': 0, 'progress': 0.2, 'speed': 0.6,
+        'tile_missed': -20, 'off_road': -0.15, 'standing': 0, 'progress': 0.2, 'position': -1.0,
+        'speed': 0.6,
         'time': -0.6, 'finish': 20, 'left_field': 90, 'early_end': -7})
     scaled = dataclasses.replace(own, reward_scale=0.1)
-    assert shaped_reward(scaled, facts, make_facts(tiles_missed=3, tiles_visited=10)) == (
+    assert shaped_reward(scaled, facts, before) == (
         pytest.approx(0.1 * (1 + sum(terms.values()))))
+
+
+def test_who_comes_round_is_paid_whatever_was_missed_and_not_fined_for_the_end():
+    came = make_facts(ended_early=1, came_round=1)
+    terms = shaping_terms(tiny(finish_bonus=20, early_end_penalty=7), came, make_facts())
+    assert (terms['finish'], terms['early_end']) == (20, 0)
 
 
 def test_the_penalty_of_one_decision_for_missed_tiles_has_a_limit():

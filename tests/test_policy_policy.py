@@ -1,6 +1,7 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
 """Policies: stacking, holding, exploring, swapping."""
+import itertools
 import subprocess
 import sys
 
@@ -74,6 +75,23 @@ def test_exploration_is_seeded_and_weighted():
     assert 0.7 < share < 0.9
     policy.reset(seed=5)
     assert [policy.decide(frame).index for _ in range(300)] == [d.index for d in first]
+
+
+def test_a_random_action_may_be_held_for_a_drawn_number_of_decisions():
+    policy = Policy(DESCRIPTION, seed=5)
+    policy.swap_weights(weights(1, epsilon=0.1, exploration_hold=6))
+    frame = frames(1)[0]
+    decisions = [policy.decide(frame) for _ in range(6000)]
+    runs = [list(run) for explored, run in itertools.groupby(decisions, lambda d: d.explored)
+            if explored]
+    # two explorations may follow each other, so the longest run is no bound
+    held = [len(list(same)) for run in runs for _, same in itertools.groupby(
+        run, lambda d: d.index)]
+    assert 0.5 < np.mean([length == 1 for length in held]) < 0.7
+    assert np.sum([length >= 6 for length in held]) > 5 and max(held) <= 12
+    policy.reset()
+    policy.epsilon = 0.0
+    assert not policy.decide(frame).explored
 
 
 def test_epsilon_is_the_share_of_random_actions():

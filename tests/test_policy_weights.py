@@ -148,9 +148,10 @@ def test_find_model_takes_a_path(folder):
 
 def test_a_weights_image_gives_back_what_went_in(description, tensors):
     data = encode_weights(tensors, description, version=3, epsilon=0.25, gas_weight=4.0,
-                          validate=True, extra={'updates': 5})
+                          exploration_hold=7, validate=True, extra={'updates': 5})
     update = decode_weights(data, description)
-    assert (update.version, update.epsilon, update.gas_weight) == (3, 0.25, 4.0)
+    assert (update.version, update.epsilon, update.gas_weight, update.exploration_hold) == (
+        3, 0.25, 4.0, 7)
     assert update.validate is True
     assert update.extra == {'updates': 5}
     assert all(torch.equal(update.tensors[name], tensors[name]) for name in tensors)
@@ -184,7 +185,8 @@ def test_weights_for_another_model_say_what_differs(description, tensors):
 @pytest.mark.parametrize(('values', 'text'), [
     ({'epsilon': 1.5}, 'epsilon 1.5'), ({'epsilon': float('nan')}, 'epsilon nan'),
     ({'version': -1}, 'version -1'), ({'version': 1.5}, 'version 1.5'),
-    ({'gas_weight': 0.0}, 'gas_weight 0.0'), ({'validate': 2}, 'wrong type'),
+    ({'gas_weight': 0.0}, 'gas_weight 0.0'), ({'exploration_hold': 0}, 'exploration_hold 0'),
+    ({'validate': 2}, 'wrong type'),
 ])
 def test_impossible_values_are_refused(description, tensors, values, text):
     data = encode_weights(tensors, description, **{'version': 1, **values})

@@ -70,6 +70,8 @@ class Hyperparameters:
     early_end_frames: int = setting(
         0, 'simulator frames without a new tile that end a training episode; 0 = never',
         low=0, high=100000)
+    early_end_lap: bool = setting(
+        False, 'end a training episode when the car has come round, whatever it missed')
     replay_capacity: int = setting(
         100_000, 'frames the replay buffer holds (2.2.1)', low=100, high=5_000_000)
     batch_size: int = setting(32, 'transitions in a batch (2.2.1)', low=1, high=4096)
@@ -121,6 +123,9 @@ class Hyperparameters:
     gas_weight: float = setting(
         1.0, 'how much likelier a random action has gas; 1 = uniform (2.2.1)',
         low=0.001, high=1000.0)
+    exploration_hold: int = setting(
+        1, 'most decisions for which a random action is held, its length drawn from a zeta '
+        'distribution (arXiv 2006.01782)', low=1, high=1000)
     learning_rate: float = setting(1e-4, 'first learning rate (2.2.1)', low=1e-9, high=1.0)
     learning_rate_end: float = setting(1e-6, 'least learning rate (2.2.1)', low=0.0, high=1.0)
     learning_rate_schedule: str = setting(
@@ -159,17 +164,21 @@ class Hyperparameters:
     progress_weight: float = setting(
         0.0, 'points for visiting all tiles, shared out by tile, beside the 1000 of the '
         'environment (5.1)', low=-1000.0, high=10000.0)
+    position_weight: float = setting(
+        0.0, 'points for driving once round the lap, shared out by tile and taken back for every '
+        'tile driven the wrong way', low=0.0, high=10000.0)
     speed_weight: float = setting(
         0.0, 'points a frame, times the speed in m/s over 100 (5.1)', low=-10.0, high=10.0)
     time_penalty: float = setting(
         0.0, "points off a frame, beside the environment's 0.1", low=0.0, high=10.0)
     finish_bonus: float = setting(
-        0.0, 'points for a finished lap', low=0.0, high=1000.0)
+        0.0, 'points for coming round, whatever was missed', low=0.0, high=1000.0)
     left_field_refund: float = setting(
         0.0, "points given back when the car leaves the field, of the environment's -100",
         low=0.0, high=200.0)
     early_end_penalty: float = setting(
-        0.0, 'points off when the episode is ended early', low=0.0, high=1000.0)
+        0.0, 'points off when the episode is ended early before the car has come round',
+        low=0.0, high=1000.0)
     early_end_terminal: bool = setting(
         False, 'treat an early end as the end of all rewards instead of bootstrapping')
 

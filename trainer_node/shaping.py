@@ -30,18 +30,23 @@ def shaping_terms(settings: Hyperparameters, facts: Facts, previous: Facts) -> d
     frames = facts['frames']
     missed = facts['tiles_missed'] - previous['tiles_missed']
     visited = facts['tiles_visited'] - previous['tiles_visited']
+    # bags of before these fields have none
+    came_round = facts.get('came_round', 0.0)
+    driven = facts.get('lap_position', 0.0) - previous.get('lap_position', 0.0)
+    tiles = max(facts['tiles_total'], 1.0)
     return {
         # a tile that is fetched later gives its points back
         'tile_missed': -min(
             settings.tile_missed_penalty * missed, settings.tile_missed_limit),
         'off_road': -settings.off_road_penalty * facts['wheels_off_road'] * frames,
         'standing': -standing_points(settings, int(facts['standing_still']), int(frames)),
-        'progress': settings.progress_weight * visited / max(facts['tiles_total'], 1.0),
+        'progress': settings.progress_weight * visited / tiles,
+        'position': settings.position_weight * driven / tiles,
         'speed': settings.speed_weight * facts['speed'] / 100 * frames,
         'time': -settings.time_penalty * frames,
-        'finish': settings.finish_bonus * facts['lap_finished'],
+        'finish': settings.finish_bonus * max(facts['lap_finished'], came_round),
         'left_field': settings.left_field_refund * facts['left_field'],
-        'early_end': -settings.early_end_penalty * facts['ended_early'],
+        'early_end': -settings.early_end_penalty * facts['ended_early'] * (1 - came_round),
     }
 
 

@@ -351,7 +351,8 @@ class Training:
                 del self._pending[min(self._pending)]
         return encode_weights(
             tensors, self.description, version=self.version, epsilon=self.epsilon,
-            gas_weight=self.settings.gas_weight, validate=validate)
+            gas_weight=self.settings.gas_weight,
+            exploration_hold=self.settings.exploration_hold, validate=validate)
 
     def _look_at_validation(self, ended: bool) -> None:
         """Ask for a validation when enough has happened since the last one."""
