@@ -7,7 +7,9 @@ The file is mapped into memory; messages are views into the map, or into an unpa
 """
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Container, Iterator
+from concurrent.futures import ThreadPoolExecutor
 import dataclasses
 import heapq
 import mmap
@@ -29,6 +31,8 @@ MAX_UNPACKED = 1 << 30
 # Messages outside chunks (rosbag2's preset `fastwrite`) are read in stretches of this many bytes.
 STRETCH_BYTES = 4 << 20
 ENCODING = 'cdr'
+# spans unpacked before they are asked for; unpacking and CRC leave the interpreter to others
+AHEAD = 1
 
 
 class RawMessage(NamedTuple):
@@ -170,7 +174,11 @@ class McapFile:
         Raises:
             BagError: it is damaged.
         """
-        data = self.span_bytes(span, check=check)
+        return self._parse_messages(span, self.span_bytes(span, check=check), channels)
+
+    def _parse_messages(
+        self, span: Span, data: memoryview, channels: Container[int] | None,
+    ) -> list[RawMessage]:
         messages = []
         add = messages.append
         position, end = 0, len(data)
@@ -212,14 +220,14 @@ class McapFile:
             key=lambda span: (span.start_time, span.offset))
         pending: list[tuple[int, int, int, Iterator[RawMessage], RawMessage]] = []
         held: dict[int, int] = {}
-        for number, span in enumerate(spans):
+        for number, (span, data) in enumerate(self._unpack_ahead(spans)):
             # everything before this span begins can go out, one span at a time
             yield from self._drain(pending, held, span.start_time)
             held[number] = span.unpacked_size
             if sum(held.values()) > MAX_UNPACKED:
                 raise BagError(f'{self.path}: chunks of more than {MAX_UNPACKED} bytes overlap '
                                'in time')
-            inside = [message for message in self.span_messages(span, channels)
+            inside = [message for message in self._parse_messages(span, data, channels)
                       if start <= message.log_time < stop]
             inside.sort(key=_log_time)
             following = iter(inside)
@@ -229,6 +237,18 @@ class McapFile:
             else:
                 heapq.heappush(pending, (first.log_time, number, 0, following, first))
         yield from self._drain(pending, held, 2 ** 64)
+
+    def _unpack_ahead(self, spans: list[Span]) -> Iterator[tuple[Span, memoryview]]:
+        """Yield spans and their bytes, the next ones unpacked meanwhile on another core."""
+        with ThreadPoolExecutor(1, thread_name_prefix='unpack') as pool:
+            ahead: deque = deque()
+            for span in spans:
+                ahead.append((span, pool.submit(self.span_bytes, span)))
+                if len(ahead) > AHEAD:
+                    due, unpacked = ahead.popleft()
+                    yield due, unpacked.result()
+            for due, unpacked in ahead:
+                yield due, unpacked.result()
 
     @staticmethod
     def _drain(

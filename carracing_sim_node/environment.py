@@ -235,7 +235,7 @@ class CarRacingEnvironment(gymnasium.Env):
             tiles_visited=sim.tile_visited_count,
             tiles_total=len(sim.track),
             tiles_missed=sim.contacts.progress.missed,
-            lap_position=sim.contacts.progress.position,
+            lap_position=sim.contacts.progress.place,
             wheels_off_road=0.25 * sum(not wheel.tiles for wheel in sim.car.wheels),
             speed=sim.speed,
             standing_still=sim.standing_still,

@@ -26,7 +26,7 @@ class Facts(NamedTuple):
     """Tiles that the car has left behind unvisited; see `progress.TileProgress`."""
 
     lap_position: int
-    """Tiles driven along the lap, less those driven back; see `progress.TileProgress`."""
+    """Foremost tile under a wheel, counted on from the start; see `progress.TileProgress`."""
 
     wheels_off_road: float
     """Share of the four wheels that touch no road tile: 0, 0.25, 0.5, 0.75 or 1."""

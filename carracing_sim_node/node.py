@@ -62,7 +62,8 @@ class CarRacingSimNode(NodeShell):
         stamped = settings.cmd_vel_stamped
         self._cmd_vel = self.subscription(
             topics.CMD_VEL, self._on_stamped_twist if stamped else self._on_plain_twist,
-            type_name=None if stamped else 'geometry_msgs/msg/Twist')
+            type_name=None if stamped else 'geometry_msgs/msg/Twist',
+            eager=settings.stepping == 'lockstep')
         self.create_service(Trigger, '~/reset', self._on_reset)
         self.create_service(Trigger, '~/step', self._on_step)
         self.create_service(SetBool, '~/pause', self._on_pause)

@@ -76,7 +76,7 @@ class Simulation(CarRacing):
             self._simulate()
         else:
             super().step(action)
-            self._measure_speed()
+            self._measure()
         return None, 0.0, False, False, {}
 
     def advance(self, steer: float, gas: float, brake: float) -> tuple[float, bool, bool]:
@@ -163,16 +163,19 @@ class Simulation(CarRacing):
         push_wheels(self.car, _DT)
         self.world.Step(_DT, _VELOCITY_ITERATIONS, _POSITION_ITERATIONS)
         self.t += _DT
-        self._measure_speed()
+        self._measure()
         # Gymnasium draws before it charges the frame, so the score in the frame lacks that 0.1.
         self.shown_reward = self.reward
 
-    def _measure_speed(self) -> None:
-        """Take the speed of the hull, units per second."""
+    def _measure(self) -> None:
+        """Take the speed of the hull, units per second, and the place on the lap."""
         velocity = self.car.hull.linearVelocity
         x = velocity.x
         y = velocity.y
         self.speed = sqrt(x * x + y * y)
+        progress = self.contacts.progress
+        if progress.stale:
+            progress.locate(tile.idx for wheel in self.car.wheels for tile in wheel.tiles)
 
     def _count_standing(self) -> None:
         """Count the frames for which the car has stood."""
@@ -184,7 +187,7 @@ class Simulation(CarRacing):
         """Do what `advance` does with gymnasium's own `step`."""
         action = np.array([steer, gas, brake])
         _, reward, terminated, _, info = super().step(action)
-        self._measure_speed()
+        self._measure()
         self._count_standing()
         lap_finished = self.tile_visited_count == len(self.track) or self.new_lap
         return reward, lap_finished, terminated and not info['lap_finished']

@@ -60,7 +60,7 @@ class DqnPolicyNode(NodeShell):
             topics.CMD_VEL, type_name=None if stamped else 'geometry_msgs/msg/Twist')
         self._q_values = self.publisher(topics.Q_VALUES)
         # only the newest image matters: an old one has no use any more
-        self.subscription(topics.IMAGE, self._on_image, depth=1)
+        self.subscription(topics.IMAGE, self._on_image, depth=1, eager=True)
         if settings.hot_swap:
             self.subscription(topics.WEIGHTS, self._on_weights)
         self._last_image = time.monotonic()

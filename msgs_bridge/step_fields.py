@@ -18,7 +18,7 @@ STEP_FIELDS = {
     'tiles_visited': 'tiles visited so far',
     'tiles_total': 'tiles of the track',
     'tiles_missed': 'tiles left behind unvisited',
-    'lap_position': 'tiles driven along the lap, less those driven back; not wrapped at the start',
+    'lap_position': 'tile under the foremost wheel, counted on from the start and not wrapped',
     'wheels_off_road': 'share of the wheels that touch no road tile, 0 to 1',
     'speed': 'speed over ground in units of the physics per second (about m/s)',
     'standing_still': 'simulator frames in a row the car has stood still',

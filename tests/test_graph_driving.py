@@ -134,7 +134,8 @@ def twist(stamp, forward=0.0, left=0.0):
 
 
 def test_twists_that_cannot_be_used_do_not_move_the_car(graph):
-    graph.listen(topics.IMAGE, topics.STEP, topics.DIAGNOSTICS)
+    # the simulator waits for a subscription of image_raw, so that is the last to be announced
+    graph.listen(topics.STEP, topics.DIAGNOSTICS, topics.IMAGE)
     twists = graph.publisher(topics.CMD_VEL)
     graph.node(*SIM, answer_timeout=60.0)
     graph.spin_until(lambda: graph.messages['step'], 20, 'the first frame')
@@ -174,9 +175,9 @@ def test_the_simulator_outlives_its_policy(graph):
 
 
 def test_pause_step_and_reset(graph):
-    graph.listen(topics.STEP)
+    graph.listen(topics.STEP, topics.IMAGE)
     graph.node(*POLICY, model='random')
-    graph.node(*SIM, start_paused=True)
+    graph.node(*SIM, start_paused=True, wait_for_subscribers=1)
     graph.spin_until(lambda: len(graph.messages['step']) == 1, 30, 'the first frame')
     graph.spin(0.5)
     assert len(graph.messages['step']) == 1
