@@ -89,6 +89,11 @@ def read_description(data: bytes) -> ModelDescription:
     return _read_record(data)[1]
 
 
+def is_marked(data: bytes) -> bool:
+    """Return whether a weights image asks for a validation, weights unread; raises ModelError."""
+    return _read_record(data)[0].get('validate') is True
+
+
 def decode_weights(data: bytes, description: ModelDescription | None = None) -> WeightsUpdate:
     """
     Check and read a weights image.

@@ -18,7 +18,7 @@ import sys
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from dqn_policy_node.policy import Policy
-from dqn_policy_node.weights_message import decode_weights, WeightsUpdate
+from dqn_policy_node.weights_message import decode_weights, is_marked, WeightsUpdate
 from evaluation.settings import ValidationSettings
 from evaluation.validator import validate
 from msgs_bridge import topics
@@ -46,10 +46,11 @@ class ValidationNode(NodeShell):
 
     def _on_weights(self, message: object) -> None:
         try:
-            update = decode_weights(bytes(message.data))
+            data = bytes(message.data)
+            update = decode_weights(data) if is_marked(data) else None
         except BridgeError as error:
             raise MessageError(str(error)) from None
-        if update.validate and update.version != self._driven:
+        if update is not None and update.version != self._driven:
             self._wanted = update
 
     def _drive(self) -> None:

@@ -15,7 +15,9 @@ from dqn_policy_node.model_folder import load_model, Model, save_model
 from dqn_policy_node.network import QNetwork
 from dqn_policy_node.safetensors_image import pack
 from dqn_policy_node.share import find_model, share_path
-from dqn_policy_node.weights_message import decode_weights, encode_weights, read_description
+from dqn_policy_node.weights_message import (
+    decode_weights, encode_weights, is_marked, read_description,
+)
 import pytest
 import torch
 
@@ -152,7 +154,8 @@ def test_a_weights_image_gives_back_what_went_in(description, tensors):
     update = decode_weights(data, description)
     assert (update.version, update.epsilon, update.gas_weight, update.exploration_hold) == (
         3, 0.25, 4.0, 7)
-    assert update.validate is True
+    assert update.validate is True and is_marked(data)
+    assert not is_marked(encode_weights(tensors, description, version=3))
     assert update.extra == {'updates': 5}
     assert all(torch.equal(update.tensors[name], tensors[name]) for name in tensors)
     assert read_description(data) == description
