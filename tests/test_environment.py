@@ -303,6 +303,17 @@ def test_progress_does_not_count_reversing_from_the_start():
     assert progress.head == 0
 
 
+def test_the_place_is_the_foremost_tile_under_a_wheel_in_any_order():
+    progress = TileProgress(100)
+    for under_wheels, place in (
+            ([98, 99, 0], 0), ([3, 5, 4], 5), ([], 5), ([3, 4], 4), ([99], -1), ([97], -3),
+            ([30], 30), ([70], 70), ([99, 1], 101)):
+        progress.locate(under_wheels)
+        assert progress.place == place
+    progress.touch(7)
+    assert progress.stale and progress.place == 101
+
+
 def test_progress_at_the_end_of_a_lap_and_beyond():
     progress = TileProgress(50)
     for tile in range(50):
