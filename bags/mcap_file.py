@@ -7,11 +7,11 @@ The file is mapped into memory; messages are views into the map, or into an unpa
 """
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Container, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 import dataclasses
 import heapq
+from itertools import zip_longest
 import mmap
 from pathlib import Path
 from typing import NamedTuple
@@ -31,8 +31,6 @@ MAX_UNPACKED = 1 << 30
 # Messages outside chunks (rosbag2's preset `fastwrite`) are read in stretches of this many bytes.
 STRETCH_BYTES = 4 << 20
 ENCODING = 'cdr'
-# spans unpacked before they are asked for; unpacking and CRC leave the interpreter to others
-AHEAD = 1
 
 
 class RawMessage(NamedTuple):
@@ -220,35 +218,30 @@ class McapFile:
             key=lambda span: (span.start_time, span.offset))
         pending: list[tuple[int, int, int, Iterator[RawMessage], RawMessage]] = []
         held: dict[int, int] = {}
-        for number, (span, data) in enumerate(self._unpack_ahead(spans)):
-            # everything before this span begins can go out, one span at a time
-            yield from self._drain(pending, held, span.start_time)
-            held[number] = span.unpacked_size
-            if sum(held.values()) > MAX_UNPACKED:
-                raise BagError(f'{self.path}: chunks of more than {MAX_UNPACKED} bytes overlap '
-                               'in time')
-            inside = [message for message in self._parse_messages(span, data, channels)
-                      if start <= message.log_time < stop]
-            inside.sort(key=_log_time)
-            following = iter(inside)
-            first = next(following, None)
-            if first is None:
-                del held[number]
-            else:
-                heapq.heappush(pending, (first.log_time, number, 0, following, first))
-        yield from self._drain(pending, held, 2 ** 64)
-
-    def _unpack_ahead(self, spans: list[Span]) -> Iterator[tuple[Span, memoryview]]:
-        """Yield spans and their bytes, the next ones unpacked meanwhile on another core."""
+        # unpacking and CRC leave the interpreter to others: the next span is unpacked meanwhile
         with ThreadPoolExecutor(1, thread_name_prefix='unpack') as pool:
-            ahead: deque = deque()
-            for span in spans:
-                ahead.append((span, pool.submit(self.span_bytes, span)))
-                if len(ahead) > AHEAD:
-                    due, unpacked = ahead.popleft()
-                    yield due, unpacked.result()
-            for due, unpacked in ahead:
-                yield due, unpacked.result()
+            ahead: Future[memoryview] | None = None
+            for number, (span, next_span) in enumerate(zip_longest(spans, spans[1:])):
+                # everything before this span begins can go out, one span at a time
+                yield from self._drain(pending, held, span.start_time)
+                held[number] = span.unpacked_size
+                if sum(held.values()) > MAX_UNPACKED:
+                    raise BagError(f'{self.path}: chunks of more than {MAX_UNPACKED} bytes '
+                                   'overlap in time')
+                data = ahead.result() if ahead else self.span_bytes(span)
+                ahead = None
+                if next_span and sum(held.values()) + next_span.unpacked_size <= MAX_UNPACKED:
+                    ahead = pool.submit(self.span_bytes, next_span)
+                inside = [message for message in self._parse_messages(span, data, channels)
+                          if start <= message.log_time < stop]
+                inside.sort(key=_log_time)
+                following = iter(inside)
+                first = next(following, None)
+                if first is None:
+                    del held[number]
+                else:
+                    heapq.heappush(pending, (first.log_time, number, 0, following, first))
+        yield from self._drain(pending, held, 2 ** 64)
 
     @staticmethod
     def _drain(
