@@ -43,9 +43,7 @@ def learn(
     """
     settings = training.settings
     drive = Drive(SimulatorSettings(
-        action_repeat=settings.action_repeat, early_end_frames=settings.early_end_frames,
-        early_end_lap=settings.early_end_lap, seed=settings.seed, seed_each_episode=True,
-        first_episode=training.episodes))
+        **settings.simulator_parameters(), first_episode=training.episodes))
     policy = Policy(training.description, seed=settings.seed)
     policy.action_repeat = settings.action_repeat
     started = reported = time.monotonic()

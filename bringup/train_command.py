@@ -91,12 +91,8 @@ def train(
     """Run the graph until the trainer is done; return whether the user stopped it."""
     space = arguments.namespace
     simulator = {
-        'action_repeat': hyperparameters.action_repeat,
-        'seed': hyperparameters.seed,
-        'seed_each_episode': True,
+        **hyperparameters.simulator_parameters(),
         'first_episode': episodes,
-        'early_end_frames': hyperparameters.early_end_frames,
-        'early_end_lap': hyperparameters.early_end_lap,
         'wait_for_subscribers': 2 if arguments.bag else 1,
     }
     # the simulator listens to the policy, too

@@ -28,11 +28,7 @@ def nodes(context: object) -> list:
         Node(executable='validation_node', **common,
              parameters=[{'seed': preset.validation_seed, 'tracks': preset.validation_tracks}]),
         Node(executable='carracing_sim_node', **common, parameters=[{
-            'action_repeat': preset.action_repeat,
-            'seed': preset.seed,
-            'seed_each_episode': True,
-            'early_end_frames': preset.early_end_frames,
-            'early_end_lap': preset.early_end_lap,
+            **preset.simulator_parameters(),
             'wait_for_subscribers': 1,
         }]),
         RegisterEventHandler(OnProcessExit(

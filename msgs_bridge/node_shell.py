@@ -260,7 +260,8 @@ def _spin_to_the_end(make_node: Callable[[], NodeShell], args: list[str] | None)
             while rclpy.ok():
                 executor.spin_once(timeout_sec=0)
                 node.take_eagerly(EXECUTOR_SECONDS)
-        executor.spin()
+        else:
+            executor.spin()
     except (KeyboardInterrupt, ExternalShutdownException, Finished):
         pass
     except Exception:

@@ -222,6 +222,12 @@ class Hyperparameters:
         if self.frame_stack + self.n_steps >= self.replay_capacity:
             raise SettingsError('frame_stack and n_steps do not fit into replay_capacity')
 
+    def simulator_parameters(self) -> dict[str, Any]:
+        """Return the parameters of the simulator that training episodes are driven in."""
+        return {
+            'action_repeat': self.action_repeat, 'seed': self.seed, 'seed_each_episode': True,
+            'early_end_frames': self.early_end_frames, 'early_end_lap': self.early_end_lap}
+
     def model_description(self) -> ModelDescription:
         """Return the model that these settings make; raises ModelError if it cannot be."""
         return ModelDescription(
