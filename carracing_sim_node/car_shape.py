@@ -12,7 +12,7 @@ from gymnasium.envs.box2d.car_dynamics import WHEEL_WHITE
 from gymnasium.envs.box2d.car_dynamics import Car
 import numpy as np
 
-from carracing_sim_node.compiled import compiled
+from msgs_bridge.compiled import compiled
 from carracing_sim_node.edges import MAX_CORNERS
 from carracing_sim_node.scanline import COSINE
 from carracing_sim_node.scanline import SHIFT_X

@@ -10,7 +10,7 @@ pygame's own. Coordinates are those of the 1000x800 surface, y downwards.
 
 import numpy as np
 
-from carracing_sim_node.compiled import compiled
+from msgs_bridge.compiled import compiled
 
 WIDTH = 1000
 HEIGHT = 800

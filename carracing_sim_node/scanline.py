@@ -17,7 +17,7 @@ from typing import NamedTuple
 from gymnasium.envs.box2d.car_racing import MAX_SHAPE_DIM
 import numpy as np
 
-from carracing_sim_node.compiled import compiled
+from msgs_bridge.compiled import compiled
 from carracing_sim_node.edges import EDGE_FIELDS
 from carracing_sim_node.edges import FIRST_X
 from carracing_sim_node.edges import FIRST_Y

@@ -24,7 +24,7 @@ from gymnasium.envs.box2d.car_racing import TRACK_TURN_RATE
 from gymnasium.envs.box2d.car_racing import TRACK_WIDTH
 import numpy as np
 
-from carracing_sim_node.compiled import compiled
+from msgs_bridge.compiled import compiled
 
 CHECKPOINTS = 12
 START_ALPHA = 2 * pi * (-0.5) / CHECKPOINTS

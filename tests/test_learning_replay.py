@@ -5,6 +5,7 @@ from hypothesis import given, settings, strategies
 import numpy as np
 import pytest
 from trainer_node.replay_buffer import ReplayBuffer
+from trainer_node.stack_gather import gather_stacks
 
 GAMMA = 0.5
 
@@ -120,6 +121,16 @@ def test_a_lone_transition_among_broken_stretches_is_found():
     buffer.add(2, 1.0, picture(4), terminated=False)
     buffer.start(picture(3))
     assert set(buffer.sample(8, np.random.default_rng(0)).actions) == {2}
+
+
+@pytest.mark.parametrize('stack', [1, 2, 4, 5])
+def test_stacks_are_read_in_order_and_channels_last(stack):
+    random = np.random.default_rng(0)
+    pictures = random.integers(0, 256, (30, 9, 7), np.uint8)
+    slots = random.integers(0, 30, (6, stack))
+    out = np.empty((6, 9, 7, stack), np.uint8)
+    gather_stacks(pictures, slots, out)
+    assert np.array_equal(out.transpose(0, 3, 1, 2), pictures[slots])
 
 
 def test_flips_mirror_pictures_and_actions_together():

@@ -87,6 +87,7 @@ class Learner:
         self.updates = 0
         self._dropout = np.random.default_rng([settings.seed, 1])
         self._parameters = list(self.online.parameters())
+        self._working_parameters = list(self._working.parameters())
         self._optimizer = torch.optim.Adam(
             self._parameters, settings.learning_rate, eps=settings.adam_epsilon, fused=True)
         self._loss = {'l1': functional.l1_loss, 'huber': functional.smooth_l1_loss}[settings.loss]
@@ -101,7 +102,7 @@ class Learner:
     def _copy_to_working(self) -> None:
         """Let the bfloat16 weights be what the float32 weights are now."""
         if self._working is not self.online:
-            torch._foreach_copy_(list(self._working.parameters()), self._parameters)
+            torch._foreach_copy_(self._working_parameters, self._parameters)
 
     def update(self, batch: Batch, learning_rate: float) -> UpdateResult:
         """
@@ -119,7 +120,8 @@ class Learner:
         q_values = network(network.prepare(pictures), dropout=self._dropout)
         chosen = q_values.gather(1, actions.unsqueeze(1)).squeeze(1)
         loss = self._loss(chosen, target)
-        network.zero_grad()
+        for parameter in self._working_parameters:
+            parameter.grad = None
         loss.backward()
         result = UpdateResult(*torch.stack([
             loss, (chosen - target).abs().mean(), chosen.mean(), self._clip_gradient()]).tolist())
@@ -153,7 +155,7 @@ class Learner:
     @torch.no_grad()
     def _clip_gradient(self) -> torch.Tensor:
         """Hand the gradient to the optimizer, no longer than allowed; return its norm before."""
-        gradients = [parameter.grad for parameter in self._working.parameters()]
+        gradients = [parameter.grad for parameter in self._working_parameters]
         if self._working is not self.online:
             for parameter in self._parameters:
                 if parameter.grad is None:

@@ -14,13 +14,15 @@ from typing import NamedTuple
 
 import numpy as np
 
+from trainer_node.stack_gather import gather_stacks
+
 
 class Batch(NamedTuple):
     """
     Samples for one update.
 
     Attributes:
-        pictures: uint8 (B, stack, H, W), oldest first.
+        pictures: uint8 (B, stack, H, W), oldest first, channels last in memory.
         actions: int64 (B,).
         rewards: float32 (B,), discounted sum over up to n steps.
         next_pictures: uint8 (B, stack, H, W), what was seen after those steps.
@@ -68,7 +70,7 @@ class ReplayBuffer:
         self._ages = np.zeros(capacity, np.int32)
         # slots ever written; slot number n lies at n % capacity
         self.written = 0
-        self._gathered = np.empty((0, *shape), np.uint8)
+        self._gathered = np.empty((0, *shape, frame_stack), np.uint8)
 
     def __len__(self) -> int:
         """Return the number of pictures held."""
@@ -170,16 +172,15 @@ class ReplayBuffer:
         return rewards.astype(np.float32), discounts.astype(np.float32), steps
 
     def _stacks(self, numbers: np.ndarray) -> np.ndarray:
-        """Return the stacks that end at slots, uint8 (N, stack, H, W)."""
+        """Return the stacks that end at slots, uint8 (N, stack, H, W), channels last."""
         back = np.arange(self.frame_stack - 1, -1, -1)
         ages = self._ages[numbers % self.capacity]
         slots = (numbers[:, None] - np.minimum(back, ages[:, None])) % self.capacity
-        count = slots.size
-        if len(self._gathered) != count:
-            self._gathered = np.empty((count, *self._pictures.shape[1:]), np.uint8)
-        # with `out`, 'clip' saves the copy that 'raise' makes; no index is out of range
-        self._pictures.take(slots.ravel(), axis=0, out=self._gathered, mode='clip')
-        return self._gathered.reshape(len(numbers), self.frame_stack, *self._pictures.shape[1:])
+        if len(self._gathered) != len(slots):
+            self._gathered = np.empty(
+                (len(slots), *self._pictures.shape[1:], self.frame_stack), np.uint8)
+        gather_stacks(self._pictures, slots, self._gathered)
+        return self._gathered.transpose(0, 3, 1, 2)
 
     @property
     def oldest(self) -> int:

@@ -1,6 +1,6 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
-"""Compiles the renderer's inner loops with Numba."""
+"""Compiles inner loops over pictures and tracks with Numba."""
 
 from collections.abc import Callable
 from typing import Any
