@@ -54,6 +54,7 @@ class Playback:
         self._clock_seconds = 1 / clock_rate if clock_rate > 0 else 3600.0
         self._rate = rate
         self._paused = paused
+        self._held = False
         self._steps = 0
         self._stopped = False
         self._change = threading.Condition()
@@ -78,6 +79,13 @@ class Playback:
         """Pause or go on."""
         with self._change:
             self._paused = paused
+            self._anchor = None
+            self._change.notify_all()
+
+    def hold(self, held: bool) -> None:
+        """Wait for a slow listener, whether paused or not; not even a step goes through."""
+        with self._change:
+            self._held = held
             self._anchor = None
             self._change.notify_all()
 
@@ -119,8 +127,8 @@ class Playback:
             with self._change:
                 if self._stopped:
                     return None
-                if self._paused:
-                    if self._steps:
+                if self._paused or self._held:
+                    if self._steps and not self._held:
                         self._steps -= 1
                         return None
                     self._change.wait(self._clock_seconds)

@@ -43,7 +43,8 @@ class BagPlayerNode(NodeShell):
     Publishes: the topics of the bag, with the QoS they were recorded with; `/clock` if
     `clock_rate` is set (a recorded `/clock` is left out then); `/diagnostics`.
 
-    Services: `~/pause` (std_srvs/SetBool), `~/step` (std_srvs/Trigger): one message while paused.
+    Services: `~/pause` (std_srvs/SetBool), `~/step` (std_srvs/Trigger): one message while paused;
+    `~/hold` (std_srvs/SetBool): a slow learner holds the bag back.
 
     Parameters: `bags.settings.PlayerSettings`; `rate` can be changed while playing.
 
@@ -77,6 +78,7 @@ class BagPlayerNode(NodeShell):
         self._closed = False
         self._ahead: ReadAhead | None = None
         self.create_service(SetBool, '~/pause', self._on_pause)
+        self.serve_hold(lambda: self._playback.hold(self.held_back))
         self.create_service(Trigger, '~/step', self._on_step)
         self.create_timer(LOOK_SECONDS, self._look)
         self.get_logger().info(

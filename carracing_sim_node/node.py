@@ -6,7 +6,8 @@ carracing_sim_node: CarRacing-v3 behind twists.
 Purpose: publish 96x96 frames and rewards, and drive the car by the twists that answer them.
 
 Subscribes: `cmd_vel`. Publishes: `image_raw`, `step`, `reward`, `episode`, `/clock`,
-`/diagnostics`. Services: `~/reset`, `~/step` (std_srvs/Trigger), `~/pause` (std_srvs/SetBool).
+`/diagnostics`. Services: `~/reset`, `~/step` (std_srvs/Trigger), `~/pause` and `~/hold`
+(std_srvs/SetBool): the car stands while people pause it or a slow learner holds it back.
 Parameters: `carracing_sim_node/settings.py`.
 
 Behaviour when things go wrong: a twist that is not finite, out of range or answers another frame
@@ -67,6 +68,7 @@ class CarRacingSimNode(NodeShell):
         self.create_service(Trigger, '~/reset', self._on_reset)
         self.create_service(Trigger, '~/step', self._on_step)
         self.create_service(SetBool, '~/pause', self._on_pause)
+        self.serve_hold(self._on_hold)
         self._paused = settings.start_paused
         self._steps_allowed = 0
         self._frame: Frame | None = None
@@ -153,6 +155,8 @@ class CarRacingSimNode(NodeShell):
             self._begin_episode()
 
     def _may_step(self) -> bool:
+        if self.held_back:
+            return False
         if not self._paused:
             return True
         if self._steps_allowed:
@@ -192,7 +196,7 @@ class CarRacingSimNode(NodeShell):
 
     def _watch_answer(self) -> None:
         """Lockstep: do as `on_timeout` says when nobody has answered in time."""
-        if self._answer is not None or self._paused:
+        if self._answer is not None or self._paused or self.held_back:
             return
         if time.monotonic() - self._asked_at < self.settings.answer_timeout:
             return
@@ -251,11 +255,19 @@ class CarRacingSimNode(NodeShell):
         self._paused = request.data
         self._steps_allowed = 0
         if not self._paused:
-            self._asked_at = time.monotonic()
-            self._go_on()
+            self._wait_anew()
         response.success = True
         response.message = 'paused' if self._paused else 'running'
         return response
+
+    def _on_hold(self) -> None:
+        if not self.held_back:
+            self._wait_anew()
+
+    def _wait_anew(self) -> None:
+        """Go on after standing still, which does not count as time without an answer."""
+        self._asked_at = time.monotonic()
+        self._go_on()
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
         """Return rates and what the node waits for."""
@@ -269,11 +281,14 @@ class CarRacingSimNode(NodeShell):
             'episode': self.drive.episode,
             'renderer': self.drive.env.renderer_name,
             'paused': self._paused,
+            'held_back': self.held_back,
         }
         if self._frame is None:
             return DiagnosticStatus.WARN, 'waiting for a driver', values
         if self._paused:
             return DiagnosticStatus.OK, 'paused', values
+        if self.held_back:
+            return DiagnosticStatus.OK, 'held back by a learner', values
         late = now - self._asked_at > self.settings.answer_timeout
         if late and self.settings.stepping == 'lockstep':
             return DiagnosticStatus.WARN, 'waiting for a twist', values

@@ -31,6 +31,7 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.utilities import get_default_context
+from std_srvs.srv import SetBool
 
 # declared by rclpy itself, or by it on our behalf
 FOREIGN_PARAMETERS = ('use_sim_time', 'start_type_description_service', 'qos_overrides')
@@ -42,6 +43,9 @@ EAGER_SECONDS = 50e-6
 IDLE_SECONDS = 1e-3
 IDLE_AFTER = 0.05
 EXECUTOR_SECONDS = 0.01
+
+# how often a node that is held back looks whether somebody still holds it; seconds
+HOLDER_SECONDS = 1.0
 
 
 class Finished(Exception):
@@ -81,6 +85,7 @@ class NodeShell(Node):
     Attributes:
         settings: the current values; fields that are `live` follow `ros2 param set`.
         counts: events counted since the start, shown in the diagnostics.
+        held_back: whether a learner holds this node back, see `serve_hold`.
     """
 
     def __init__(self, name: str, settings_class: type) -> None:
@@ -92,6 +97,7 @@ class NodeShell(Node):
         """
         super().__init__(name)
         self.counts: Counter[str] = Counter()
+        self.held_back = False
         self._eager: list[Any] = []
         self._last_taken = 0.0
         self._settings_class = settings_class
@@ -136,6 +142,36 @@ class NodeShell(Node):
     def eager(self) -> bool:
         """Return whether the node has eager subscriptions."""
         return bool(self._eager)
+
+    def serve_hold(self, changed: Callable[[], None]) -> None:
+        """
+        Offer `~/hold` (std_srvs/SetBool), by which a slow learner holds this node back.
+
+        It is apart from `~/pause`, so that a learner that has caught up does not end a person's
+        pause, and it ends with its last client, so that a dead learner does not hold on for ever.
+
+        Args:
+            changed: called after `held_back` has changed.
+        """
+        name = self.resolve_service_name('~/hold')
+
+        def hold(held: bool) -> None:
+            self.held_back = held
+            changed()
+
+        def answer(request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+            hold(request.data)
+            response.success = True
+            response.message = 'held back' if request.data else 'not held back'
+            return response
+
+        def outlive_holder() -> None:
+            if self.held_back and not self.count_clients(name):
+                self.get_logger().warn('who held this node back is gone: going on')
+                hold(False)
+
+        self.create_service(SetBool, name, answer)
+        self.create_timer(HOLDER_SECONDS, outlive_holder)
 
     def take(self, subscription: Any) -> bool:
         """Take one message of a polled subscription, if there is one, and call its callback."""

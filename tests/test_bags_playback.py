@@ -80,6 +80,20 @@ def test_pause_and_step():
     assert playback.timing_error()[2] < 0.05
 
 
+def test_a_bag_that_is_held_back_stands_paused_or_not():
+    seen = []
+    playback = Playback(seen.append, rate=0.0, paused=True)
+    playback.hold(True)
+    thread = in_thread(playback, messages(20))
+    assert playback.step()
+    playback.pause(False)
+    time.sleep(0.05)
+    assert seen == []
+    playback.hold(False)
+    thread.join(2)
+    assert seen == messages(20)
+
+
 def test_stop_ends_a_long_wait_at_once():
     playback = Playback(lambda message: None)
     thread = in_thread(playback, messages(2, period=3600 * 10 ** 9))

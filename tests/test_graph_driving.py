@@ -197,6 +197,39 @@ def test_pause_step_and_reset(graph):
     assert stamps == sorted(set(stamps))
 
 
+def test_holding_back_and_pausing_do_not_undo_each_other(graph):
+    graph.listen(topics.STEP)
+    graph.node(*POLICY, model='random')
+    graph.node(*SIM, start_paused=True)
+    graph.spin_until(lambda: len(graph.messages['step']) == 1, 30, 'the first frame')
+
+    def say(service, value):
+        assert call(graph, SetBool, f'carracing_sim_node/{service}',
+                    SetBool.Request(data=value)).success
+        graph.spin(0.3)
+
+    for service, value in (('hold', True), ('hold', False), ('hold', True), ('pause', False)):
+        say(service, value)
+        assert len(graph.messages['step']) == 1
+    say('hold', False)
+    assert len(graph.messages['step']) > 1
+
+
+def test_a_learner_that_dies_does_not_hold_the_car_for_ever(graph):
+    graph.listen(topics.STEP)
+    graph.node(*POLICY, model='random')
+    graph.node(*SIM)
+    graph.spin_until(lambda: len(graph.messages['step']) > 10, 30, 'driving')
+    hold = graph.probe.create_client(SetBool, 'carracing_sim_node/hold')
+    graph.spin_until(hold.service_is_ready, 5, 'hold is there')
+    future = hold.call_async(SetBool.Request(data=True))
+    graph.spin_until(future.done, 5, 'hold answers')
+    graph.spin(0.3)
+    count = len(graph.messages['step'])
+    graph.probe.destroy_client(hold)
+    graph.spin_until(lambda: len(graph.messages['step']) > count + 10, 10, 'driving on')
+
+
 def test_real_time_runs_by_the_wall_clock_and_lets_go_of_a_stale_twist(graph):
     graph.listen(topics.STEP, topics.DIAGNOSTICS)
     twists = graph.publisher(topics.CMD_VEL)

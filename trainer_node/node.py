@@ -6,7 +6,7 @@ trainer_node: transitions in, better weights out.
 Purpose: join `image_raw`, `step` and `cmd_vel` into transitions, learn from them, publish weights.
 
 Subscribes: `image_raw`, `step`, `cmd_vel`, `validation`. Publishes: `weights`, `/diagnostics`.
-Services: `~/save`, `~/evaluate` (std_srvs/Trigger). Calls: `~/pause` of the simulator.
+Services: `~/save`, `~/evaluate` (std_srvs/Trigger). Calls: `~/hold` of the simulator.
 Parameters: `trainer_node/settings.py`, hyperparameters in `trainer_node/hyperparameters.py`.
 
 Behaviour when things go wrong: a message that cannot be used is counted and logged (throttled); a
@@ -47,7 +47,7 @@ TAKEN_AT_ONCE = 200
 # How long the learning thread sleeps when nothing has come in.
 IDLE_SECONDS = 0.0005
 
-# Times the queue limit at which transitions are dropped because nobody can be paused.
+# Times the queue limit at which transitions are dropped because nobody can be held back.
 OVERRUN = 50
 
 
@@ -71,7 +71,7 @@ class TrainerNode(NodeShell):
         self._status = self._training.status()
         self._failure: Exception | None = None
         self._complete = False
-        self._pausing = False
+        self._holding = False
         self._stopping = threading.Event()
         self._weights_publisher = self.publisher(topics.WEIGHTS)
         self._inputs = (
@@ -82,7 +82,7 @@ class TrainerNode(NodeShell):
         self.subscription(topics.VALIDATION, self._on_validation)
         self.create_service(Trigger, '~/save', self._on_save)
         self.create_service(Trigger, '~/evaluate', self._on_evaluate)
-        self._pause = self.create_client(SetBool, f'{settings.simulator}/pause')
+        self._hold = self.create_client(SetBool, f'{settings.simulator}/hold')
         self._learner_called = self.create_guard_condition(self._on_learner)
         self._publish_weights()
         self._learning = threading.Thread(target=self._learn, name='learning')
@@ -141,11 +141,11 @@ class TrainerNode(NodeShell):
         room = OVERRUN * self.settings.queue_limit - len(self._waiting)
         self._waiting.extend(transitions[:room])
         if len(transitions) > room:
-            # a simulator without ~/pause, or a bag played too fast
+            # a simulator without ~/hold, or a bag played too fast
             self.counts['transitions_overrun'] += len(transitions) - room
             self.get_logger().warn(
                 'transitions come faster than they are learned from and nobody answers '
-                f'{self.settings.simulator}/pause: some are dropped', throttle_duration_sec=10.0)
+                f'{self.settings.simulator}/hold: some are dropped', throttle_duration_sec=10.0)
 
     def _take_messages(self) -> None:
         """Take what has come in, topic by topic, and hold the simulator back or let it go on."""
@@ -153,18 +153,18 @@ class TrainerNode(NodeShell):
             for _ in range(TAKEN_AT_ONCE):
                 if not self.take(subscription):
                     break
-        if not self._pausing and len(self._waiting) > self.settings.queue_limit:
-            self._set_pause(True)
-        elif self._pausing and len(self._waiting) <= self.settings.queue_limit // 4:
-            self._set_pause(False)
+        if not self._holding and len(self._waiting) > self.settings.queue_limit:
+            self._set_hold(True)
+        elif self._holding and len(self._waiting) <= self.settings.queue_limit // 4:
+            self._set_hold(False)
 
-    def _set_pause(self, pause: bool) -> None:
+    def _set_hold(self, hold: bool) -> None:
         """Hold the simulator back, or let it go on: the limiter of the replay ratio."""
-        if not self.context.ok() or not self._pause.service_is_ready():
+        if not self.context.ok() or not self._hold.service_is_ready():
             return
-        self._pausing = pause
-        self.counts['pauses'] += pause
-        self._pause.call_async(SetBool.Request(data=pause))
+        self._holding = hold
+        self.counts['held_back'] += hold
+        self._hold.call_async(SetBool.Request(data=hold))
 
     # --- learning thread: transitions to weights
 
@@ -242,7 +242,7 @@ class TrainerNode(NodeShell):
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
         """Return the state of learning and of the joiner."""
-        values = {**self._status, 'waiting': len(self._waiting), 'pausing': self._pausing}
+        values = {**self._status, 'waiting': len(self._waiting), 'holding': self._holding}
         values.update({f'transitions_{name}': n for name, n in self._joiner.counts.items() if n})
         if self._failure is not None:
             return DiagnosticStatus.ERROR, f'failed: {self._failure}', values

@@ -21,9 +21,9 @@ class TrainerSettings:
         'auto', 'where to learn: CUDA or ROCm when there, or the CPU',
         choices=('auto', 'cpu', 'cuda'))
     simulator: str = setting(
-        'carracing_sim_node', 'node whose ~/pause is called while learning lags behind')
+        'carracing_sim_node', 'node whose ~/hold is called while learning lags behind')
     queue_limit: int = setting(
-        64, 'transitions waiting to be learned from at which the simulator is paused',
+        64, 'transitions waiting to be learned from at which the simulator is held back',
         low=1, high=100_000)
     last_validation_seconds: float = setting(
         90.0, 'seconds to wait at the end for the validation of the last weights; 0 = do not ask',
