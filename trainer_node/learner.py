@@ -84,8 +84,10 @@ class Learner:
         if settings.weight_average:
             self.averaged = QNetwork(description).to(self.device).requires_grad_(False)
             self.averaged.load_state_dict(self.online.state_dict())
+            self._averaged_parameters = list(self.averaged.parameters())
         self.updates = 0
         self._dropout = np.random.default_rng([settings.seed, 1])
+        # walking the modules anew for every update takes longer than some of its arithmetic
         self._parameters = list(self.online.parameters())
         self._working_parameters = list(self._working.parameters())
         self._optimizer = torch.optim.Adam(
@@ -174,8 +176,7 @@ class Learner:
         if self.averaged is None:
             return
         decay = min(self.settings.weight_average, (1 + self.updates) / (10 + self.updates))
-        torch._foreach_lerp_(
-            list(self.averaged.parameters()), self._parameters, 1 - decay)
+        torch._foreach_lerp_(self._averaged_parameters, self._parameters, 1 - decay)
 
     def acting_tensors(self) -> dict[str, torch.Tensor]:
         """Return a copy of the weights that act and are validated: the average when it is on."""
