@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 import contextlib
+import ctypes
 import dataclasses
 import json
 from operator import itemgetter
@@ -21,6 +22,7 @@ from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from bags.errors import BagError
+from bags.gathered_arrival import gather_arrivals
 from bags.live_qos import meets, recorded_qos, request_for
 from bags.qos_text import offered_qos
 from bags.recording import Recording
@@ -37,6 +39,16 @@ DISCOVERY_SECONDS = 0.2
 # more decisions/s beside a recorder of this priority than beside one of normal priority. A tenth
 # of each core is left to it at least, which is enough to lose nothing.
 NICE = 10
+# messages/s above which they are left to gather before DDS handles them: at that rate being woken
+# by each costs the publishers more than log times that are late by 2 ms cost a reader
+GATHER_ABOVE = 2000
+# Seconds after which discovery has found who was there before us; whoever publishes later should
+# be heard from its first message on.
+FOUND_SECONDS = 2.0
+# Freed memory that is kept for the next chunk instead of being given back and zeroed anew, which
+# is a third of the writing thread's work; names and numbers of mallopt(3).
+M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
+KEPT_BYTES = 32 << 20
 # looks at the graph after which, if nothing was new, only every fifth is made
 BUSY_DISCOVERIES = 50
 CALM = 5
@@ -56,6 +68,8 @@ class _Source:
     number: int | None = None
     sequence: int = 0
     publishers: frozenset[bytes] = frozenset()
+    # a latched publisher keeps less than it has sent
+    latched: bool = False
     # whether we subscribed before anybody published, so that even number 1 should arrive
     first: bool = False
 
@@ -118,6 +132,8 @@ class BagRecorderNode(NodeShell):
         self._unknown: set[str] = set()
         self._full_said = False
         self._discoveries = 0
+        self._began = time.monotonic()
+        self._gathering = False
         self._wanted = (
             None if settings.topics.strip() == ALL
             else {self.resolve_topic_name(name) for name in names_of(settings.topics)})
@@ -141,6 +157,7 @@ class BagRecorderNode(NodeShell):
             'messages': self._writer.message_count,
             'topics': sum(source.number is not None for source in self._sources.values()),
             'peak_cache_bytes': self._recording.peak_bytes,
+            'gathering': self._gathering,
         }
 
     def close(self) -> None:
@@ -190,13 +207,11 @@ class BagRecorderNode(NodeShell):
             name = self.resolve_topic_name(topic.name)
             if self._wants(name):
                 offered = offered_qos(reliable=topic.reliable, latched=topic.latched)
-                self._subscribe(name, topic.type_name, [offered])
-                # a latched publisher keeps less than it has sent
-                source = self._sources.get(name)
-                if source is not None and not topic.latched:
-                    source.first = not self._known_publishers(name)
+                self._subscribe(name, topic.type_name, [offered], latched=topic.latched)
 
-    def _subscribe(self, name: str, type_name: str, offered: list[dict[str, Any]]) -> None:
+    def _subscribe(
+        self, name: str, type_name: str, offered: list[dict[str, Any]], *, latched: bool = True,
+    ) -> None:
         try:
             kind = message_class(type_name)
         except (ImportError, AttributeError, ValueError):
@@ -214,11 +229,14 @@ class BagRecorderNode(NodeShell):
         request = request_for(offered, self.settings.depth)
         source = _Source(name, type_name, request, self.create_subscription(
             kind, name, _unused, request, raw=True, callback_group=self._group,
-            event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False)))
+            event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False)),
+            latched=latched)
         if old is not None and old.type_name == type_name:
             source.number = old.number
         with self._lock:
             self._sources[name] = source
+            if self._gathering:
+                gather_arrivals(source.subscription, gather=True)
 
     def _discover(self) -> None:
         """Subscribe to what is new, and again where a publisher does not fit the request."""
@@ -237,6 +255,8 @@ class BagRecorderNode(NodeShell):
                 continue
             publishers = self._known_publishers(name)
             if not publishers:
+                if source is not None and time.monotonic() - self._began > FOUND_SECONDS:
+                    source.first = source.number is None and not source.latched
                 continue
             offered = recorded_qos(publishers)
             if source is not None:
@@ -273,6 +293,7 @@ class BagRecorderNode(NodeShell):
             return []
 
     def _poll_forever(self) -> None:
+        looked = time.monotonic()
         while not self._stop.wait(POLL_SECONDS):
             if self._recording.full:
                 if not self._full_said:
@@ -281,7 +302,20 @@ class BagRecorderNode(NodeShell):
                     self.get_logger().warn('the disk is too slow: messages wait in DDS')
                 continue
             self._full_said = False
-            self._poll()
+            taken = self._poll()
+            before, looked = looked, time.monotonic()
+            self._gather_if_busy(taken / (looked - before))
+        self._gather_if_busy(0)
+
+    def _gather_if_busy(self, messages_per_second: float) -> None:
+        # the lower bound for the way back, so that it does not come and go
+        busy = messages_per_second > (GATHER_ABOVE / 2 if self._gathering else GATHER_ABOVE)
+        if busy == self._gathering:
+            return
+        with self._lock:
+            self._gathering = busy
+            for source in self._sources.values():
+                gather_arrivals(source.subscription, gather=busy)
 
     def _poll(self, *, final: bool = False) -> int:
         """
@@ -371,9 +405,18 @@ def _unused(message: object) -> None:
     """Stand in for a callback: the subscriptions are polled."""
 
 
+def _keep_freed_memory() -> None:
+    # only glibc has it
+    with contextlib.suppress(AttributeError):
+        set_option = ctypes.CDLL(None).mallopt
+        for option in (M_TRIM_THRESHOLD, M_MMAP_THRESHOLD):
+            set_option(option, KEPT_BYTES)
+
+
 def main(args: list[str] | None = None) -> int:
     """Run the recorder; the exit code is 2 if the bag could not be completed."""
     os.nice(NICE)
+    _keep_freed_memory()
     nodes = []
 
     def make_node() -> BagRecorderNode:

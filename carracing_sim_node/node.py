@@ -297,8 +297,12 @@ class CarRacingSimNode(NodeShell):
     def close(self) -> None:
         """Let the last frame arrive, then let go of the environment."""
         for publisher in (self._step_publisher, self._image_publisher, self._episode_publisher):
-            if self.context.ok():
+            try:
                 publisher.wait_for_all_acked(LAST_WORDS)
+            except Exception:
+                # a signal shuts ROS down at any moment, and then there is nobody left to wait for
+                if self.context.ok():
+                    raise
         self.drive.env.close()
 
 

@@ -306,3 +306,41 @@ def test_what_is_wrong_ends_the_node_with_one_line(tmp_path, module, parameters,
     assert told in done.stderr
     assert done.stderr.count('\n') == 1
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_recorder_that_joins_a_drive_calls_nothing_lost(graph, tmp_path):
+    graph.node(*POLICY, model='random')
+    graph.node(*SIM, seed=11)
+    graph.listen(topics.STEP)
+    graph.spin_until(lambda: len(graph.messages['step']) > 300, 40, 'a drive under way')
+    # two, because whether discovery or the first message comes first is a matter of luck
+    for name in ('one', 'two'):
+        recorder = start_recorder(graph, tmp_path / name)
+        graph.messages['step'].clear()
+        graph.spin_until(lambda: len(graph.messages['step']) > 500, 40, 'more of it')
+        assert stop(recorder) == 0
+        assert any('lost: none' in line for line in recorder.words), recorder.words
+
+
+def test_what_arrives_fast_gathers_and_is_handled_at_once_when_it_slows_down(graph, tmp_path):
+    recorder = start_recorder(graph, tmp_path / 'bag')
+    publisher = graph.publisher(topics.REWARD)
+    graph.listen(topics.DIAGNOSTICS)
+    wait_for(publisher.get_subscription_count, 10, 'recorder')
+    sent = 0
+    for pause, gathering in ((0.01, 'False'), (0.0002, 'True'), (0.01, 'False')):
+        deadline = time.monotonic() + 20
+        while graph.health(RECORDER[1]).get('gathering') != gathering:
+            assert time.monotonic() < deadline, graph.health(RECORDER[1])
+            for _ in range(int(0.1 / pause)):
+                publisher.publish(Float32(data=float(sent)))
+                sent += 1
+                time.sleep(pause)
+            graph.executor.spin_once(timeout_sec=0)
+    assert stop(recorder) == 0
+    assert any('lost: none' in line for line in recorder.words), recorder.words
+    with BagReader(tmp_path / 'bag') as reader:
+        name = f'/{graph.namespace}/reward'
+        assert reader.topics[name].message_count == sent
+        times = [message.log_time for message in reader.messages([name])]
+        assert times == sorted(times)
