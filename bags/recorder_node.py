@@ -39,9 +39,6 @@ DISCOVERY_SECONDS = 0.2
 # more decisions/s beside a recorder of this priority than beside one of normal priority. A tenth
 # of each core is left to it at least, which is enough to lose nothing.
 NICE = 10
-# messages/s above which they are left to gather before DDS handles them: at that rate being woken
-# by each costs the publishers more than log times that are late by 2 ms cost a reader
-GATHER_ABOVE = 2000
 # Seconds after which discovery has found who was there before us; whoever publishes later should
 # be heard from its first message on.
 FOUND_SECONDS = 2.0
@@ -308,8 +305,9 @@ class BagRecorderNode(NodeShell):
         self._gather_if_busy(0)
 
     def _gather_if_busy(self, messages_per_second: float) -> None:
-        # the lower bound for the way back, so that it does not come and go
-        busy = messages_per_second > (GATHER_ABOVE / 2 if self._gathering else GATHER_ABOVE)
+        # a lower bound for the way back, so that it does not come and go
+        bound = self.settings.gather_above / (2 if self._gathering else 1)
+        busy = bool(bound) and messages_per_second > bound
         if busy == self._gathering:
             return
         with self._lock:

@@ -37,6 +37,9 @@ class RecorderSettings:
         low=1 << 20, high=1 << 34)
     depth: int = setting(
         2000, 'messages a topic that may wait in DDS', low=1, high=100_000)
+    gather_above: int = setting(
+        2000, 'messages a second above which they gather for 2 ms before they are handled, with '
+        'log times late by as much, which spares the publishers; 0 = never', low=0, high=1_000_000)
     provenance: str = setting(
         '', 'JSON object with the origin of the run, for custom_data and a metadata record')
 

@@ -68,7 +68,8 @@ def main(arguments: list[str] | None = None) -> int:
             cost = figures['recorder'] = recorder_cost(Path(folder))
             show(f'lockstep with the recorder {cost["decisions_per_second_with"]:.0f} '
                  f'decisions/s, without {cost["decisions_per_second_without"]:.0f}: it takes '
-                 f'{cost["cost_percent"]:.1f} %, {cost["recorder_cpu_percent"]:.1f} % of a core, '
+                 f'{cost["cost_percent"]:.1f} ± {cost["cost_percent_error"]:.1f} %, '
+                 f'{cost["recorder_cpu_percent"]:.1f} % of a core, '
                  f'{cost["steps_missing"]} steps missing')
     if options.json:
         Path(options.json).write_text(json.dumps(figures, indent=2) + '\n', encoding='utf-8')

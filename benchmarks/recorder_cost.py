@@ -29,13 +29,13 @@ START_SECONDS = 60.0
 DOMAIN = 97
 
 
-def recorder_cost(folder: Path, *, rounds: int = 6, seconds: float = 6.0) -> dict[str, Any]:
+def recorder_cost(folder: Path, *, rounds: int = 12, seconds: float = 4.0) -> dict[str, Any]:
     """
     Return decisions/s with and without a recorder, and what the recorder lost and needed.
 
     Args:
         folder: for the bags.
-        rounds: with and without, each.
+        rounds: how often the recorder comes and goes, at least 2.
         seconds: length of one measurement.
     """
     os.environ['ROS_DOMAIN_ID'] = str(DOMAIN)
@@ -50,8 +50,8 @@ def recorder_cost(folder: Path, *, rounds: int = 6, seconds: float = 6.0) -> dic
         while not counter.rate(SETTLE) > 0:
             if time.monotonic() > deadline:
                 raise TimeoutError(f'the simulator did not drive within {START_SECONDS:.0f} s')
+        rates['without'].append(counter.rate(seconds))
         for number in range(rounds):
-            rates['without'].append(counter.rate(seconds))
             bag = folder / f'round_{number}'
             recorder = _start('bags.recorder_node', folder=str(bag))
             counter.rate(SETTLE)
@@ -63,17 +63,21 @@ def recorder_cost(folder: Path, *, rounds: int = 6, seconds: float = 6.0) -> dic
                 messages += reader.message_count
                 lost += sum(_missing(reader).values())
             counter.rate(1.0)
+            rates['without'].append(counter.rate(seconds))
     finally:
         counter.close()
         for process in (policy, simulator):
             _stop(process)
     # neighbours in time are compared, because other work on the machine comes and goes
-    costs = [1 - on / off for on, off in zip(rates['with'], rates['without'])]
+    without = rates['without']
+    costs = [100 * (1 - 2 * on / (before + after))
+             for on, before, after in zip(rates['with'], without, without[1:])]
     return {
         'decisions_per_second_without': statistics.median(rates['without']),
         'decisions_per_second_with': statistics.median(rates['with']),
-        'cost_percent': 100 * statistics.median(costs),
-        'cost_percent_by_round': [100 * cost for cost in costs],
+        'cost_percent': statistics.mean(costs),
+        'cost_percent_error': statistics.stdev(costs) / rounds ** 0.5,
+        'cost_percent_by_round': costs,
         'recorder_cpu_percent': 100 * statistics.median(cpu),
         'messages_recorded': messages, 'steps_missing': lost,
     }
