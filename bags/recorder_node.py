@@ -39,9 +39,9 @@ DISCOVERY_SECONDS = 0.2
 # more decisions/s beside a recorder of this priority than beside one of normal priority. A tenth
 # of each core is left to it at least, which is enough to lose nothing.
 NICE = 10
-# Seconds after which discovery has found who was there before us; whoever publishes later should
-# be heard from its first message on.
-FOUND_SECONDS = 2.0
+# Seconds after which discovery has found who was there before us, for Fast DDS announces a
+# participant every 3 s; whoever publishes later should be heard from its first message on.
+FOUND_SECONDS = 6.0
 # Freed memory that is kept for the next chunk instead of being given back and zeroed anew, which
 # is a third of the writing thread's work; names and numbers of mallopt(3).
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
