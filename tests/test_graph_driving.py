@@ -155,7 +155,8 @@ def test_twists_that_cannot_be_used_do_not_move_the_car(graph):
 
 def test_the_simulator_outlives_its_policy(graph):
     graph.listen(topics.IMAGE, topics.STEP, topics.CMD_VEL, topics.DIAGNOSTICS)
-    policy = graph.node(*POLICY, model='random')
+    # simulator and probe: what we do not hear would count as lost
+    policy = graph.node(*POLICY, model='random', wait_for_subscribers=2)
     simulator = graph.node(*SIM, answer_timeout=0.3)
     graph.spin_until(lambda: len(graph.messages['step']) > 50, 30, 'driving')
     kill(policy)
@@ -166,7 +167,7 @@ def test_the_simulator_outlives_its_policy(graph):
     graph.spin(1.0)
     assert len(graph.messages['step']) == count
     assert simulator.code is None
-    graph.node(*POLICY, model='random')
+    graph.node(*POLICY, model='random', wait_for_subscribers=2)
     graph.spin_until(lambda: len(graph.messages['step']) > count + 50, 30, 'driving on')
     joined, joiner = graph.join()
     # nothing of the episode was lost, because the frame was sent again
