@@ -14,7 +14,6 @@ callback). It runs in the receiving thread, without Python, so it is compiled.
 from __future__ import annotations
 
 import ctypes
-from typing import Any
 
 from numba import carray, cfunc, types
 import numpy as np
@@ -34,6 +33,11 @@ _SLOT, _THREADS = 3, 8
 _WORDS = _USAGE_WORDS + _SLOT * _THREADS
 # written by the receiving threads as long as the process lives
 _memory = np.zeros(_WORDS, np.int64)
+
+# rclpy has loaded the library by now; looked up here, so that a recorder without it does not start
+_set_callback = ctypes.CDLL('librcl.so').rcl_subscription_set_on_new_message_callback
+_set_callback.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p]
+_set_callback.restype = ctypes.c_int
 
 _getrusage = types.ExternalFunction('getrusage', types.intc(types.intc, types.voidptr))
 _usleep = types.ExternalFunction('usleep', types.intc(types.uintc))
@@ -64,13 +68,6 @@ def _gather(memory, _):
         words[slot + 2] = 0
 
 
-def _setter() -> Any:
-    set_callback = ctypes.CDLL('librcl.so').rcl_subscription_set_on_new_message_callback
-    set_callback.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p]
-    set_callback.restype = ctypes.c_int
-    return set_callback
-
-
 def gather_arrivals(subscription: Subscription, *, gather: bool) -> None:
     """
     Let what arrives for a subscription gather for up to 2 ms, or handle each at once again.
@@ -79,5 +76,5 @@ def gather_arrivals(subscription: Subscription, *, gather: bool) -> None:
     topics and services. It wants a polled subscription: the executor would not be woken.
     """
     with subscription.handle:
-        _setter()(subscription.handle.pointer, *(
+        _set_callback(subscription.handle.pointer, *(
             (_gather.address, _memory.ctypes.data) if gather else (None, None)))
