@@ -13,8 +13,7 @@ callback). It runs in the receiving thread, without Python, so it is compiled.
 """
 from __future__ import annotations
 
-import ctypes
-
+from msgs_bridge.arrival import call_on_arrival
 from numba import carray, cfunc, types
 import numpy as np
 from rclpy.subscription import Subscription
@@ -33,11 +32,6 @@ _SLOT, _THREADS = 3, 8
 _WORDS = _USAGE_WORDS + _SLOT * _THREADS
 # written by the receiving threads as long as the process lives
 _memory = np.zeros(_WORDS, np.int64)
-
-# rclpy has loaded the library by now; looked up here, so that a recorder without it does not start
-_set_callback = ctypes.CDLL('librcl.so').rcl_subscription_set_on_new_message_callback
-_set_callback.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p]
-_set_callback.restype = ctypes.c_int
 
 _getrusage = types.ExternalFunction('getrusage', types.intc(types.intc, types.voidptr))
 _usleep = types.ExternalFunction('usleep', types.intc(types.uintc))
@@ -75,6 +69,5 @@ def gather_arrivals(subscription: Subscription, *, gather: bool) -> None:
     Reception times are late by as much, and so is everything else that the process hears on
     topics and services. It wants a polled subscription: the executor would not be woken.
     """
-    with subscription.handle:
-        _set_callback(subscription.handle.pointer, *(
-            (_gather.address, _memory.ctypes.data) if gather else (None, None)))
+    call_on_arrival(subscription, *(
+        (_gather.address, _memory.ctypes.data) if gather else (None, None)))

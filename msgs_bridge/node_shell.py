@@ -5,12 +5,10 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-import contextlib
 import dataclasses
 import gc
 import importlib
 import os
-from pathlib import Path
 import signal
 import sys
 import time
@@ -19,9 +17,11 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from msgs_bridge import topics
+from msgs_bridge.arrival import Bell
 from msgs_bridge.errors import BridgeError, MessageError, SettingsError
 from msgs_bridge.qos import qos_profile
 from msgs_bridge.settings import check_value, describe, from_mapping
+from msgs_bridge.time_slices import shorten_time_slices
 from msgs_bridge.topics import Topic
 from rcl_interfaces.msg import (
     FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult,
@@ -38,16 +38,9 @@ from std_srvs.srv import SetBool
 # declared by rclpy itself, or by it on our behalf
 FOREIGN_PARAMETERS = ('use_sim_time', 'start_type_description_service', 'qos_overrides')
 
-# Eager subscriptions: how often they are looked at while messages come and when none has come for
-# a while, and how often the executor has its turn. One turn takes 0.3 to 0.5 ms in rclpy, which
-# is as long as the car needs for four frames; a look takes 10 us.
-EAGER_SECONDS = 50e-6
-IDLE_SECONDS = 1e-3
-IDLE_AFTER = 0.05
+# How often the executor has its turn in a node with eager subscriptions. One turn takes 0.3 to
+# 0.5 ms in rclpy, which is as long as the car needs for four frames.
 EXECUTOR_SECONDS = 0.01
-
-# what Linux may add to a sleep of the main thread, in ns; proc(5)
-TIMER_SLACK = Path('/proc/self/timerslack_ns')
 
 # how often a node that is held back looks whether somebody still holds it; seconds
 HOLDER_SECONDS = 1.0
@@ -104,7 +97,7 @@ class NodeShell(Node):
         self.counts: Counter[str] = Counter()
         self.held_back = False
         self._eager: list[Any] = []
-        self._last_taken = 0.0
+        self._bell = Bell()
         self._settings_class = settings_class
         self.settings = from_mapping(settings_class, self._declare(settings_class))
         self.add_on_set_parameters_callback(self._on_set_parameters)
@@ -124,8 +117,8 @@ class NodeShell(Node):
         Subscribe to a topic of the contract; bad messages are counted, not fatal.
 
         A `MessageError` that the callback raises is logged (throttled) and the node goes on.
-        With `polled` nothing is called until somebody calls `take`; with `eager` the node looks
-        for messages all the time, for those that another node waits for.
+        With `polled` nothing is called until somebody calls `take`; with `eager` they do
+        not wait for the executor, for those that another node waits for.
         """
         def checked(message: Any) -> None:
             try:
@@ -141,6 +134,7 @@ class NodeShell(Node):
             callback_group=PolledGroup() if polled or eager else None)
         if eager:
             self._eager.append(subscription)
+            self._bell.ring_for(subscription)
         return subscription
 
     @property
@@ -189,16 +183,11 @@ class NodeShell(Node):
 
     def take_eagerly(self, seconds: float) -> None:
         """Call the callbacks of eager subscriptions as messages come, for some seconds."""
-        now = time.monotonic()
-        until = now + seconds
-        while now < until:
+        until = time.monotonic() + seconds
+        while time.monotonic() < until:
             # all are looked at, whichever has a message
-            if any([self.take(subscription) for subscription in self._eager]):
-                self._last_taken = time.monotonic()
-            else:
-                idle = now - self._last_taken > IDLE_AFTER
-                time.sleep(IDLE_SECONDS if idle else EAGER_SECONDS)
-            now = time.monotonic()
+            if not any([self.take(subscription) for subscription in self._eager]):
+                self._bell.wait(until)
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
         """Return level, summary and values for the diagnostics; nodes add theirs."""
@@ -298,7 +287,7 @@ def _spin_to_the_end(make_node: Callable[[], NodeShell], args: list[str] | None)
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         if node.eager:
-            _sleep_on_time()
+            shorten_time_slices()
             while rclpy.ok():
                 executor.spin_once(timeout_sec=0)
                 node.take_eagerly(EXECUTOR_SECONDS)
@@ -318,16 +307,6 @@ def _spin_to_the_end(make_node: Callable[[], NodeShell], args: list[str] | None)
             node.close()
             node.destroy_node()
         rclpy.try_shutdown()
-
-
-def _sleep_on_time() -> None:
-    """
-    Let the short sleeps of this thread end on time; Linux may add 50 us to each otherwise.
-
-    That is as long as the sleeps between two looks: lockstep driving gained a tenth by it.
-    """
-    with contextlib.suppress(OSError):
-        TIMER_SLACK.write_text('1')
 
 
 def _leave(code: int) -> None:

@@ -1,0 +1,86 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Wakes a thread as soon as a message has arrived, without an executor.
+
+The middleware calls a function for each message that has arrived (`rcl`'s on-new-message
+callback), in its receiving thread and without Python.
+"""
+from __future__ import annotations
+
+import ctypes
+import os
+import select
+import time
+
+from rclpy.subscription import Subscription
+
+# A wait shorter than this is spent awake, for falling asleep and being woken takes about as long;
+# but only if the last one was as short, so that a thread that waits for long burns nothing.
+AWAKE_SECONDS = 250e-6
+
+# rclpy has loaded the library by now; looked up here, so that a node without it does not start
+_set_callback = ctypes.CDLL('librcl.so').rcl_subscription_set_on_new_message_callback
+_set_callback.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p]
+_set_callback.restype = ctypes.c_int
+
+# int eventfd_write(int, uint64_t), see eventfd(3): also good as a callback that gets a number
+# and a count of messages
+_eventfd_write = ctypes.cast(ctypes.CDLL(None).eventfd_write, ctypes.c_void_p).value
+
+
+def call_on_arrival(
+    subscription: Subscription, function: int | None, argument: int | None,
+) -> None:
+    """
+    Let the middleware call a C function for what arrives; None ends it.
+
+    It runs in the receiving thread. The executor is not woken any more, so the subscription has
+    to be a polled one.
+
+    Args:
+        subscription: the one to listen to.
+        function: address of a `void (*)(void *argument, size_t messages)`.
+        argument: its first argument.
+
+    Raises:
+        RuntimeError: the middleware has no such callbacks.
+    """
+    with subscription.handle:
+        if _set_callback(subscription.handle.pointer, function, argument):
+            raise RuntimeError(f'{subscription.topic_name}: no callback for new messages')
+
+
+class Bell:
+    """
+    Rings when a message arrives for one of its subscriptions.
+
+    One ring may stand for several messages, and their number may have been taken already:
+    whoever has waited takes what there is.
+    """
+
+    def __init__(self) -> None:
+        """Open the event counter; it stays open, for the middleware may still write to it."""
+        self._counter = os.eventfd(0, os.EFD_CLOEXEC | os.EFD_NONBLOCK)
+        poll = select.poll()
+        poll.register(self._counter, select.POLLIN)
+        self._poll = poll.poll
+        self._awake = False
+
+    def ring_for(self, subscription: Subscription) -> None:
+        """Ring for the messages of a polled subscription, too."""
+        call_on_arrival(subscription, _eventfd_write, self._counter)
+
+    def wait(self, until: float) -> None:
+        """Wait for a ring, at most until a time of the monotonic clock."""
+        began = now = time.monotonic()
+        rung = self._poll(0)
+        while self._awake and not rung and now - began < AWAKE_SECONDS:
+            rung = self._poll(0)
+            now = time.monotonic()
+        if not rung and now < until:
+            rung = self._poll(1000 * (until - now))
+            now = time.monotonic()
+        self._awake = bool(rung) and now - began < AWAKE_SECONDS
+        if rung:
+            os.eventfd_read(self._counter)
