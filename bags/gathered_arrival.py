@@ -67,7 +67,8 @@ def gather_arrivals(subscription: Subscription, *, gather: bool) -> None:
     Let what arrives for a subscription gather for up to 2 ms, or handle each at once again.
 
     Reception times are late by as much, and so is everything else that the process hears on
-    topics and services. It wants a polled subscription: the executor would not be woken.
+    topics and services. It wants a polled subscription: the executor would not be woken. Where
+    the middleware cannot do that, recording only costs more.
     """
     call_on_arrival(subscription, *(
         (_gather.address, _memory.ctypes.data) if gather else (None, None)))

@@ -13,6 +13,7 @@ import os
 import select
 import time
 
+from msgs_bridge.errors import BridgeError
 from rclpy.subscription import Subscription
 
 # A wait shorter than this is spent awake, for falling asleep and being woken takes about as long;
@@ -31,7 +32,7 @@ _eventfd_write = ctypes.cast(ctypes.CDLL(None).eventfd_write, ctypes.c_void_p).v
 
 def call_on_arrival(
     subscription: Subscription, function: int | None, argument: int | None,
-) -> None:
+) -> bool:
     """
     Let the middleware call a C function for what arrives; None ends it.
 
@@ -43,12 +44,11 @@ def call_on_arrival(
         function: address of a `void (*)(void *argument, size_t messages)`.
         argument: its first argument.
 
-    Raises:
-        RuntimeError: the middleware has no such callbacks.
+    Returns:
+        whether the middleware will do so.
     """
     with subscription.handle:
-        if _set_callback(subscription.handle.pointer, function, argument):
-            raise RuntimeError(f'{subscription.topic_name}: no callback for new messages')
+        return _set_callback(subscription.handle.pointer, function, argument) == 0
 
 
 class Bell:
@@ -68,8 +68,15 @@ class Bell:
         self._awake = False
 
     def ring_for(self, subscription: Subscription) -> None:
-        """Ring for the messages of a polled subscription, too."""
-        call_on_arrival(subscription, _eventfd_write, self._counter)
+        """
+        Ring for the messages of a polled subscription, too.
+
+        Raises:
+            BridgeError: the middleware does not tell of new messages.
+        """
+        if not call_on_arrival(subscription, _eventfd_write, self._counter):
+            raise BridgeError(
+                f'{subscription.topic_name}: this middleware does not tell of new messages')
 
     def wait(self, until: float) -> None:
         """Wait for a ring, at most until a time of the monotonic clock."""

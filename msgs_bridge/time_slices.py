@@ -3,6 +3,7 @@
 """Lets a process that others wait for have its core back at once."""
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import os
 import platform
@@ -23,14 +24,18 @@ def shorten_time_slices() -> None:
     """
     Give all threads of this process short time slices, at the priority they have.
 
-    Linux 6.12 and later; it does nothing where that is not known or not allowed.
+    Linux 6.12 and later; it does nothing where that is not known or not allowed, nor to threads
+    for which somebody has chosen another scheduling policy.
     """
     number = _SCHED_SETATTR.get(platform.machine())
     if number is None:
         return
     call = ctypes.CDLL(None).syscall
-    for thread in os.listdir('/proc/self/task'):
-        nice = os.getpriority(os.PRIO_PROCESS, int(thread))
-        attributes = _ATTRIBUTES.pack(
-            _ATTRIBUTES.size, os.SCHED_OTHER, 0, nice, 0, SLICE_NANOSECONDS, 0, 0, 0, 0)
-        call(ctypes.c_long(number), ctypes.c_long(int(thread)), attributes, ctypes.c_long(0))
+    for thread in map(int, os.listdir('/proc/self/task')):
+        # a thread may end meanwhile
+        with contextlib.suppress(ProcessLookupError):
+            if os.sched_getscheduler(thread) == os.SCHED_OTHER:
+                nice = os.getpriority(os.PRIO_PROCESS, thread)
+                attributes = _ATTRIBUTES.pack(
+                    _ATTRIBUTES.size, os.SCHED_OTHER, 0, nice, 0, SLICE_NANOSECONDS, 0, 0, 0, 0)
+                call(ctypes.c_long(number), ctypes.c_long(thread), attributes, ctypes.c_long(0))

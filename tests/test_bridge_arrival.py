@@ -2,9 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Messages that wake a thread without an executor, over real DDS."""
 import dataclasses
+import platform
+import subprocess
+import sys
 import threading
 import time
 
+from graph_probe import ROOT
 from msgs_bridge import topics
 from msgs_bridge.arrival import Bell
 from msgs_bridge.node_shell import NodeShell, PolledGroup
@@ -82,3 +86,38 @@ def test_the_executor_has_its_turn_however_fast_eager_messages_come(node):
         node.take_eagerly(0.01)
     assert heard == list(range(len(heard)))
     assert len(heard) > 5
+
+
+@pytest.mark.skipif(
+    platform.machine() not in ('x86_64', 'aarch64'), reason='number of the system call unknown')
+def test_short_time_slices_keep_priority_and_chosen_policies():
+    code = """
+import ctypes, os, threading
+from msgs_bridge.time_slices import _ATTRIBUTES, shorten_time_slices
+def attributes(thread):
+    number = {'x86_64': 315, 'aarch64': 275}[os.uname().machine]
+    memory = ctypes.create_string_buffer(_ATTRIBUTES.size)
+    assert not ctypes.CDLL(None).syscall(
+        ctypes.c_long(number), ctypes.c_long(thread), memory,
+        ctypes.c_long(_ATTRIBUTES.size), ctypes.c_long(0))
+    _, policy, _, nice, _, runtime, *_ = _ATTRIBUTES.unpack(memory.raw)
+    return policy, nice, runtime
+ready, done = threading.Event(), threading.Event()
+def be_batch():
+    os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+    ready.set()
+    done.wait()
+other = threading.Thread(target=be_batch)
+other.start()
+ready.wait()
+os.nice(3)
+shorten_time_slices()
+print(*attributes(0), os.sched_getscheduler(other.native_id))
+done.set()
+"""
+    said = subprocess.run(
+        [sys.executable, '-c', code], capture_output=True, text=True, cwd=ROOT, check=True)
+    policy, nice, runtime, other = map(int, said.stdout.split())
+    assert (policy, nice, other) == (0, 3, 3)
+    # older kernels keep no slice
+    assert runtime in (0, 100_000)
