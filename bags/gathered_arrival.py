@@ -14,7 +14,8 @@ callback). It runs in the receiving thread, without Python, so it is compiled.
 from __future__ import annotations
 
 from msgs_bridge.arrival import call_on_arrival
-from numba import carray, cfunc, types
+from msgs_bridge.compiled import compiled_callback
+from numba import carray, types
 import numpy as np
 from rclpy.subscription import Subscription
 
@@ -38,7 +39,7 @@ _usleep = types.ExternalFunction('usleep', types.intc(types.uintc))
 _pthread_self = types.ExternalFunction('pthread_self', types.int64())
 
 
-@cfunc(types.void(types.voidptr, types.uintp), cache=True)
+@compiled_callback(types.void(types.voidptr, types.uintp))
 def _gather(memory, _):
     """Wait if this thread has slept since it last waited, so that messages gather."""
     words = carray(memory, _WORDS, np.int64)

@@ -55,8 +55,8 @@ class Bell:
     """
     Rings when a message arrives for one of its subscriptions.
 
-    One ring may stand for several messages, and their number may have been taken already:
-    whoever has waited takes what there is.
+    One ring may stand for several messages, and they may have been taken already: whoever has
+    waited takes what there is.
     """
 
     def __init__(self) -> None:

@@ -5,7 +5,7 @@
 from collections.abc import Callable
 from typing import Any
 
-from numba import njit
+from numba import cfunc, njit
 
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -16,8 +16,16 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     directory; with neither it compiles anew in every process, which takes some seconds.
     Division by zero follows NumPy, so that no loop carries a check.
     """
-    options = {'nogil': True, 'error_model': 'numpy'}
+    return _kept(lambda **options: njit(nogil=True, error_model='numpy', **options)(function))
+
+
+def compiled_callback(signature: Any) -> Callable[[Callable[..., Any]], Any]:
+    """Compile a function that C calls, for its numba signature; kept as by `compiled`."""
+    return lambda function: _kept(lambda **options: cfunc(signature, **options)(function))
+
+
+def _kept(compile_with: Callable[..., Any]) -> Any:
     try:
-        return njit(cache=True, **options)(function)
+        return compile_with(cache=True)
     except RuntimeError:
-        return njit(**options)(function)
+        return compile_with()

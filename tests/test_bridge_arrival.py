@@ -11,8 +11,7 @@ import time
 from graph_probe import ROOT
 from msgs_bridge import topics
 from msgs_bridge.arrival import Bell
-from msgs_bridge.node_shell import NodeShell, PolledGroup
-from msgs_bridge.qos import qos_profile
+from msgs_bridge.node_shell import NodeShell
 import pytest
 import rclpy
 from rclpy.signals import SignalHandlerOptions
@@ -59,9 +58,7 @@ def test_a_bell_rings_for_what_arrives_and_not_before(node):
 
 def test_a_bell_rings_for_what_arrived_before_anybody_waited(node):
     publisher = node.publisher(topics.REWARD)
-    subscription = node.create_subscription(
-        Float32, topics.REWARD.name, print, qos_profile(topics.REWARD),
-        callback_group=PolledGroup())
+    subscription = node.subscription(topics.REWARD, [].append, polled=True)
     for number in range(3):
         publisher.publish(Float32(data=float(number)))
     bell = Bell()
