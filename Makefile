@@ -8,10 +8,10 @@ CARRACING := $(VENV)/bin/carracing
 
 setup: $(INSTALLED)
 
-$(INSTALLED): setup.py setup.cfg constraints.txt bringup/environment.py
+$(INSTALLED): setup.py setup.cfg constraints.txt carracing_dqn/bringup/environment.py
 	$(PYTHON) -m venv $(VENV)
 	$(VENV)/bin/python -m pip install --use-pep517 --constraint constraints.txt --editable '.[wheels,test]'
-	$(VENV)/bin/python -m bringup.environment
+	$(VENV)/bin/python -m carracing_dqn.bringup.environment
 	touch $@
 
 run: setup

@@ -7,8 +7,9 @@ from setuptools import setup
 
 NAME = 'carracing_dqn'
 PACKAGES = [
-    'msgs_bridge', 'carracing_sim_node', 'dqn_policy_node', 'trainer_node', 'bags', 'evaluation',
-    'bringup', 'benchmarks',
+    'msgs_bridge', 'msgs_bridge.transport', 'carracing_sim_node', 'dqn_policy_node',
+    'trainer_node', 'bags', 'carracing_dqn',
+    'carracing_dqn.bringup', 'carracing_dqn.evaluation', 'carracing_dqn.benchmarks',
 ]
 SHARED = ('launch', 'config', 'models')
 
@@ -31,7 +32,7 @@ setup(
     maintainer='The carracing_dqn authors',
     maintainer_email='maintainers@carracing-dqn.org',
     packages=PACKAGES,
-    package_data={'evaluation': ['*.html', '*.j2', '*.css']},
+    package_data={'carracing_dqn.evaluation': ['*.html', '*.j2', '*.css']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),

@@ -22,7 +22,7 @@ from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from bags.errors import BagError
-from bags.gathered_arrival import gather_arrivals
+from msgs_bridge.transport.gathered_arrival import gather_arrivals
 from bags.live_qos import meets, recorded_qos, request_for
 from bags.qos_text import offered_qos
 from bags.recording import Recording

@@ -1,6 +1,6 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
-"""The last few pictures, oldest first, at even distances in time."""
+"""The last few observations, oldest first, at even distances in time."""
 from __future__ import annotations
 
 from collections import deque
@@ -10,38 +10,38 @@ import numpy as np
 
 class FrameStack:
     """
-    Gives `size` pictures of one shape, `spacing` simulator frames apart.
+    Gives `size` observations of one shape, `spacing` simulator frames apart.
 
-    Pictures may come more often than that: one who learned to decide every fourth frame can
+    Observations may come more often than that: one who learned to decide every fourth frame can
     drive by deciding every second, on stacks like those it learned from. After a reset the first
-    picture stands for all before it.
+    observation stands for all before it.
     """
 
     def __init__(self, size: int, shape: tuple[int, int], spacing: int = 1) -> None:
-        """Make room for `size` pictures of (H, W)."""
+        """Make room for `size` observations of (H, W)."""
         self._stack = np.zeros((size, *shape), np.uint8)
         self._spacing = spacing
         self._kept: deque[tuple[int, np.ndarray]] = deque()
         self._now = 0
 
     def reset(self) -> None:
-        """Forget what was seen: the next picture starts an episode."""
+        """Forget what was seen: the next observation starts an episode."""
         self._kept.clear()
 
-    def push(self, picture: np.ndarray, elapsed: int | None = None) -> np.ndarray:
+    def push(self, observation: np.ndarray, elapsed: int | None = None) -> np.ndarray:
         """
-        Add a picture and return the stack.
+        Add an observation and return the stack.
 
         Args:
-            picture: uint8 (H, W), not changed afterwards by the caller.
-            elapsed: simulator frames since the picture before; None for `spacing`.
+            observation: uint8 (H, W), not changed afterwards by the caller.
+            elapsed: simulator frames since the observation before; None for `spacing`.
 
         Returns:
             uint8 (size, H, W), valid until the next call.
         """
         self._now += self._spacing if elapsed is None else elapsed
         kept = self._kept
-        kept.append((self._now, picture))
+        kept.append((self._now, observation))
         size = len(self._stack)
         while len(kept) > 1 and kept[1][0] <= self._now - (size - 1) * self._spacing:
             kept.popleft()

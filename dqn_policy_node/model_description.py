@@ -28,7 +28,7 @@ def _check_whole(name: str, value: Any, low: int, high: int) -> None:
 @dataclasses.dataclass(frozen=True)
 class Preprocessing:
     """
-    From an rgb frame to the gray picture that the network sees.
+    From an rgb frame to the gray observation that the network sees.
 
     Attributes:
         first_row, rows, first_column, columns: the part of the 96x96 frame that is kept.
@@ -139,11 +139,11 @@ class ModelDescription:
 
     Attributes:
         network: shape of the network.
-        preprocessing: from frame to picture.
-        frame_stack: pictures that the network sees at once, oldest first.
+        preprocessing: from frame to observation.
+        frame_stack: observations that the network sees at once, oldest first.
         action_set: what its outputs mean.
         action_repeat: simulator frames (1/50 s) for which an action is held when driving.
-        stack_frames: simulator frames between the pictures of a stack; 0 = as `action_repeat`.
+        stack_frames: simulator frames between the observations of a stack; 0 = as `action_repeat`.
     """
 
     network: Network
@@ -170,7 +170,7 @@ class ModelDescription:
         Return channels, height and width after the last convolution.
 
         Raises:
-            ModelError: the picture is too small for the layers.
+            ModelError: the observation is too small for the layers.
         """
         channels, (height, width) = self.frame_stack, self.preprocessing.shape
         for layer in self.network.convolutions:

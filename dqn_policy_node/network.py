@@ -42,10 +42,11 @@ class QNetwork(nn.Module):
         self.dropout = network.dropout
         self.to(memory_format=torch.channels_last)
 
-    def prepare(self, pictures: torch.Tensor) -> torch.Tensor:
-        """Return pictures, uint8 (B, stack, H, W), as `forward` takes them: 0 to 255."""
+    def prepare(self, observations: torch.Tensor) -> torch.Tensor:
+        """Return observations, uint8 (B, stack, H, W), as `forward` takes them: 0 to 255."""
         # bytes are moved before they get wider; bfloat16 holds whole numbers up to 256 exactly
-        return pictures.contiguous(memory_format=torch.channels_last).to(self.hidden.weight.dtype)
+        observations = observations.contiguous(memory_format=torch.channels_last)
+        return observations.to(self.hidden.weight.dtype)
 
     def forward(
         self, x: torch.Tensor, *, dropout: np.random.Generator | None = None,
@@ -61,7 +62,7 @@ class QNetwork(nn.Module):
             float32 (B, actions), whatever the weights are.
         """
         for index, layer in enumerate(self.convolutions):
-            # pictures are scaled to 0..1 by way of the weights, which are fewer
+            # observations are scaled to 0..1 by way of the weights, which are fewer
             weight = layer.weight * (1 / 255) if index == 0 else layer.weight
             x = functional.relu(
                 functional.conv2d(x, weight, layer.bias, layer.stride), inplace=True)

@@ -49,7 +49,7 @@ class DqnPolicyNode(NodeShell):
         settings = self.settings
         self._pilot: Pilot | None = None
         self._device = choose_device(settings.device)
-        # one picture at a time gains nothing from a second thread, and takes a core
+        # one observation at a time gains nothing from a second thread, and takes a core
         torch.set_num_threads(1)
         if settings.model == RANDOM_MODEL:
             self._take_policy(RandomPolicy(ACTION_SETS['seed5']))

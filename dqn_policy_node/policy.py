@@ -137,9 +137,9 @@ class Policy(_HeldAction):
         return Decision(index, self.action_set.actions[index], q_values, bool(explored))
 
     @torch.inference_mode()
-    def q_values(self, pictures: np.ndarray) -> np.ndarray:
+    def q_values(self, observations: np.ndarray) -> np.ndarray:
         """Return the Q-values, float32 (actions,), of a stack, uint8 (stack, H, W)."""
-        batch = torch.from_numpy(pictures).unsqueeze(0).to(self._device)
+        batch = torch.from_numpy(observations).unsqueeze(0).to(self._device)
         return self._network(self._network.prepare(batch))[0].cpu().numpy()
 
     def swap_weights(self, update: WeightsUpdate) -> None:

@@ -1,6 +1,6 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
-"""From an rgb frame to the gray picture that the network sees."""
+"""From an rgb frame to the gray observation that the network sees."""
 from __future__ import annotations
 
 import numpy as np
@@ -18,7 +18,7 @@ LUMA = (77, 150, 29)
 
 
 class Preprocessor:
-    """Turns frames into pictures as a `Preprocessing` says; calling it allocates one picture."""
+    """Turns frames into observations as a `Preprocessing` says; each call allocates one."""
 
     def __init__(self, description: Preprocessing) -> None:
         """Prepare the tables for a description."""
@@ -44,7 +44,7 @@ class Preprocessor:
 
     def __call__(self, frame: np.ndarray) -> np.ndarray:
         """
-        Return the picture of a frame.
+        Return the observation of a frame.
 
         Args:
             frame: uint8 (96, 96, 3) rgb.

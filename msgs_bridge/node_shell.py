@@ -17,11 +17,11 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from msgs_bridge import topics
-from msgs_bridge.arrival import Bell
+from msgs_bridge.transport.arrival import Bell
 from msgs_bridge.errors import BridgeError, MessageError, SettingsError
 from msgs_bridge.qos import qos_profile
 from msgs_bridge.settings import check_value, describe, from_mapping
-from msgs_bridge.time_slices import shorten_time_slices
+from msgs_bridge.transport.time_slices import shorten_time_slices
 from msgs_bridge.topics import Topic
 from rcl_interfaces.msg import (
     FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult,

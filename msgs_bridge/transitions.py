@@ -29,8 +29,8 @@ class Transition:
             same unbroken stretch has this `next_stamp` as its `stamp`.
         frame, next_frame: uint8 (H, W, 3) rgb.
         action: what the twist said.
-        facts: the `step` fields of the next frame (see `step_fields.STEP_FIELDS`).
-        previous_facts: the `step` fields of the first frame.
+        info: the `step` fields of the next frame (see `step_fields.STEP_FIELDS`).
+        previous_info: the `step` fields of the first frame.
     """
 
     stamp: int
@@ -38,18 +38,18 @@ class Transition:
     frame: np.ndarray
     next_frame: np.ndarray
     action: Action
-    facts: dict[str, float]
-    previous_facts: dict[str, float]
+    info: dict[str, float]
+    previous_info: dict[str, float]
 
     @property
     def terminated(self) -> bool:
         """Return whether the episode ended by its rules: nothing comes after."""
-        return self.facts['terminated'] > 0
+        return self.info['terminated'] > 0
 
     @property
     def truncated(self) -> bool:
         """Return whether the episode was cut off: more would have come."""
-        return self.facts['truncated'] > 0
+        return self.info['truncated'] > 0
 
 
 class _Lane:

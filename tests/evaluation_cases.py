@@ -4,8 +4,8 @@
 import json
 from pathlib import Path
 
-from evaluation.laps import Lap
-from evaluation.results import Results, write_json
+from carracing_dqn.evaluation.laps import Lap
+from carracing_dqn.evaluation.results import Results, write_json
 import numpy as np
 
 EPISODES = (

@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 
-from bringup.processes import node_command, ProcessGroup
+from carracing_dqn.bringup.processes import node_command, ProcessGroup
 from msgs_bridge import topics
 from msgs_bridge.images import image_to_array
 from msgs_bridge.named_values import read_named_values
@@ -29,14 +29,14 @@ ROOT = Path(__file__).resolve().parents[1]
 def carracing(*words: str, timeout: float = 60, **options: object) -> subprocess.CompletedProcess:
     """Run the real command and return what it said."""
     return subprocess.run(
-        [sys.executable, '-m', 'bringup', *words], capture_output=True, text=True,
+        [sys.executable, '-m', 'carracing_dqn.bringup', *words], capture_output=True, text=True,
         timeout=timeout, cwd=ROOT, **options)
 
 
 def start_carracing(*words: str) -> subprocess.Popen:
     """Start the real command in a session of its own."""
     return subprocess.Popen(
-        [sys.executable, '-m', 'bringup', *words], stdout=subprocess.PIPE,
+        [sys.executable, '-m', 'carracing_dqn.bringup', *words], stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT, text=True, cwd=ROOT, start_new_session=True)
 
 

@@ -55,7 +55,7 @@ def test_a_bag_joins_into_the_transitions_that_happened(drive):
         assert transition.action == scripted(number)
         frame, reward, _, truncated, _ = env.step(transition.action)
         assert np.array_equal(transition.next_frame, frame)
-        assert transition.facts['reward'] == reward
+        assert transition.info['reward'] == reward
         assert transition.truncated == truncated
     assert truncated
 
@@ -95,7 +95,7 @@ def test_a_damaged_message_drops_one_transition_and_no_other(tmp_path):
     recorder.writer.close()
     counts = Counter()
     found = list(bag_transitions([tmp_path / 'bag'], counts=counts))
-    assert [round(one.facts['decision']) for one in found] == [1, 2, 3, 5]
+    assert [round(one.info['decision']) for one in found] == [1, 2, 3, 5]
     assert counts['rejected'] == counts['lost_twist'] == 1
 
 
@@ -232,7 +232,7 @@ def test_csv_has_a_row_per_frame_with_every_bit(tmp_path, drive):
     rows = list(csv.DictReader(path.open()))
     transitions = list(bag_transitions([drive]))
     assert [float(row['reward']) for row in rows[1:41]] == [
-        one.facts['reward'] for one in transitions[:40]]
+        one.info['reward'] for one in transitions[:40]]
     assert rows[0]['q_right'] == '1.5'
     # the last frame of an episode leads to no decision
     assert rows[40]['q_right'] == ''

@@ -10,7 +10,7 @@ import time
 
 from graph_probe import ROOT
 from msgs_bridge import topics
-from msgs_bridge.arrival import Bell
+from msgs_bridge.transport.arrival import Bell
 from msgs_bridge.node_shell import NodeShell
 import pytest
 import rclpy
@@ -90,7 +90,7 @@ def test_the_executor_has_its_turn_however_fast_eager_messages_come(node):
 def test_short_time_slices_keep_priority_and_chosen_policies():
     code = """
 import ctypes, os, threading
-from msgs_bridge.time_slices import _ATTRIBUTES, shorten_time_slices
+from msgs_bridge.transport.time_slices import _ATTRIBUTES, shorten_time_slices
 def attributes(thread):
     number = {'x86_64': 315, 'aarch64': 275}[os.uname().machine]
     memory = ctypes.create_string_buffer(_ATTRIBUTES.size)

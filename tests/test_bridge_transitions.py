@@ -47,7 +47,7 @@ def merge(order, lanes):
 def key(transition):
     return (transition.stamp, transition.next_stamp, transition.action,
             int(transition.frame[0, 0, 0]), int(transition.next_frame[0, 0, 0]),
-            transition.facts['reward'])
+            transition.info['reward'])
 
 
 def test_every_transition_once_and_right():
@@ -57,7 +57,7 @@ def test_every_transition_once_and_right():
     assert (first.stamp, first.next_stamp) == (10**9, 10**9 + DECISION)
     assert first.action == Action(0.0, 0.0, 0.0) and joined[1].action.steer == 0.1
     assert int(first.frame[0, 0, 0]) == 0 and int(first.next_frame[0, 0, 0]) == 1
-    assert first.facts['reward'] == 1.0 and not first.terminated
+    assert first.info['reward'] == 1.0 and not first.terminated
     assert [t.terminated for t in joined] == [False] * 3 + [True] + [False] * 3 + [True]
 
 

@@ -9,7 +9,7 @@ from gymnasium.envs.box2d.car_racing import CarRacing
 import numpy as np
 import pytest
 
-from benchmarks.driver import Driver
+from carracing_dqn.benchmarks.driver import Driver
 from carracing_sim_node import EpisodeError
 from carracing_sim_node import InvalidActionError
 from carracing_sim_node import InvalidVariantError

@@ -1,9 +1,9 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
 """The table against the seed document, and the objectives, against numbers worked out by hand."""
-from evaluation.comparison import compare, judge, smoothing_window
-from evaluation.records import load_run
-from evaluation.seed_document import FIGURES, OBJECTIVES
+from carracing_dqn.evaluation.comparison import compare, judge, smoothing_window
+from carracing_dqn.evaluation.records import load_run
+from carracing_dqn.evaluation.seed_document import FIGURES, OBJECTIVES
 from evaluation_cases import write_run
 import pytest
 

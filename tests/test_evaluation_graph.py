@@ -1,11 +1,11 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
 """The same laps over topics."""
-from bringup.graph_laps import run_graph
-from evaluation.errors import EvaluationError
-from evaluation.lap_series import drive_laps
-from evaluation.policies import PolicySource
-from evaluation.through_graph import consecutive, drive_laps_through_graph
+from carracing_dqn.bringup.graph_laps import run_graph
+from carracing_dqn.evaluation.errors import EvaluationError
+from carracing_dqn.evaluation.lap_series import drive_laps
+from carracing_dqn.evaluation.policies import PolicySource
+from carracing_dqn.evaluation.through_graph import consecutive, drive_laps_through_graph
 from msgs_bridge.errors import BridgeError
 from msgs_bridge.step_fields import EPISODE_FIELDS
 import pytest

@@ -4,13 +4,13 @@
 import sys
 
 from carracing_sim_node import make_env
-from evaluation.errors import EvaluationError, PolicyError
-from evaluation.lap_series import drive_laps
-from evaluation.laps import drive_lap
-from evaluation.policies import parse_policy, PolicySource
-from evaluation.simulators import make_simulator
-from evaluation.validator import validate
-from evaluation.workers import run_jobs
+from carracing_dqn.evaluation.errors import EvaluationError, PolicyError
+from carracing_dqn.evaluation.lap_series import drive_laps
+from carracing_dqn.evaluation.laps import drive_lap
+from carracing_dqn.evaluation.policies import parse_policy, PolicySource
+from carracing_dqn.evaluation.simulators import make_simulator
+from carracing_dqn.evaluation.validator import validate
+from carracing_dqn.evaluation.workers import run_jobs
 from evaluation_cases import ByPixels, lap, Steady
 import gymnasium
 from msgs_bridge.step_fields import VALIDATION_FIELDS

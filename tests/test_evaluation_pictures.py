@@ -3,11 +3,11 @@
 """Laps seen from above."""
 import dataclasses
 
-from bringup.command import main as carracing
+from carracing_dqn.bringup.command import main as carracing
 from carracing_sim_node import make_env
-from evaluation.lap_picture import draw_lap, lap_end, lap_picture
-from evaluation.laps import drive_lap
-from evaluation.trajectory import drive_trajectory, RecordedActions
+from carracing_dqn.evaluation.lap_picture import draw_lap, lap_end, lap_picture
+from carracing_dqn.evaluation.laps import drive_lap
+from carracing_dqn.evaluation.trajectory import drive_trajectory, RecordedActions
 from evaluation_cases import ByPixels, lap, Steady
 import numpy as np
 from PIL import Image

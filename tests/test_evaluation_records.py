@@ -1,10 +1,10 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
 """Runs that are being written, cut off, empty or odd: what is there is shown, the rest named."""
-from evaluation.errors import RecordsError, ResultsError
-from evaluation.records import add_results, load_run
-from evaluation.results import write_json
-from evaluation.tables import read_table
+from carracing_dqn.evaluation.errors import RecordsError, ResultsError
+from carracing_dqn.evaluation.records import add_results, load_run
+from carracing_dqn.evaluation.results import write_json
+from carracing_dqn.evaluation.tables import read_table
 from evaluation_cases import EPISODES, results, write_run
 import numpy as np
 import pytest

@@ -7,11 +7,11 @@ import json
 import re
 from xml.etree import ElementTree
 
-from bringup.command import main as carracing
-from evaluation.figures import draw, FIGURES, NothingToShow
-from evaluation.records import load_run, Run
-from evaluation.report_command import _compare_with_record
-from evaluation.report_page import make_pictures, markdown, Picture, render
+from carracing_dqn.bringup.command import main as carracing
+from carracing_dqn.evaluation.figures import draw, FIGURES, NothingToShow
+from carracing_dqn.evaluation.records import load_run, Run
+from carracing_dqn.evaluation.report_command import _compare_with_record
+from carracing_dqn.evaluation.report_page import make_pictures, markdown, Picture, render
 from evaluation_cases import lap, write_run
 import numpy as np
 import pytest
@@ -27,7 +27,7 @@ def whole_run(folder):
 @pytest.fixture
 def no_figures(monkeypatch):
     """Leave out what takes most of the time."""
-    monkeypatch.setattr('evaluation.report_page.FIGURES', ())
+    monkeypatch.setattr('carracing_dqn.evaluation.report_page.FIGURES', ())
 
 
 def drawn(run):
@@ -124,7 +124,7 @@ def test_a_run_without_anything_has_nothing_to_show(tmp_path):
 def test_the_dummy_agent_is_driven_when_nobody_has(
     tmp_path, monkeypatch, capsys, no_figures,
 ):
-    monkeypatch.setattr('evaluation.report_command.DUMMY_LAPS', 2)
+    monkeypatch.setattr('carracing_dqn.evaluation.report_command.DUMMY_LAPS', 2)
     run = write_run(tmp_path / 'run', CURVE)
     assert carracing(['report', str(run), '--laps', '0']) == 0
     assert 'driving 2 now' in capsys.readouterr().out

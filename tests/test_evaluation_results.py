@@ -5,10 +5,10 @@ import argparse
 import csv
 import json
 
-from bringup.command import main as carracing
-from evaluation import evaluate_command
-from evaluation.errors import EvaluationError, ResultsError
-from evaluation.results import COLUMNS, read_json, resume, write_csv, write_json
+from carracing_dqn.bringup.command import main as carracing
+from carracing_dqn.evaluation import evaluate_command
+from carracing_dqn.evaluation.errors import EvaluationError, ResultsError
+from carracing_dqn.evaluation.results import COLUMNS, read_json, resume, write_csv, write_json
 from evaluation_cases import results
 import pytest
 

@@ -1,8 +1,8 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
 """Statistics against numbers worked out by hand."""
-from evaluation.errors import EvaluationError
-from evaluation.statistics import (
+from carracing_dqn.evaluation.errors import EvaluationError
+from carracing_dqn.evaluation.statistics import (
     mean_interval, moving_average, share_interval, statistics_of,
 )
 from evaluation_cases import lap

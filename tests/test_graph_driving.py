@@ -51,7 +51,7 @@ def test_every_transition_of_a_lockstep_drive_arrives_once_and_is_what_the_simul
             assert np.array_equal(transition.frame, frame)
             frame, reward, terminated, truncated, _ = env.step(transition.action)
             assert np.array_equal(transition.next_frame, frame)
-            assert transition.facts['reward'] == reward
+            assert transition.info['reward'] == reward
             assert (transition.terminated, transition.truncated) == (terminated, truncated)
         assert truncated
 

@@ -3,8 +3,8 @@
 """The benchmark of the learner runs and counts its arithmetic right."""
 import json
 
-from benchmarks import bench_learner
-from benchmarks.bench_learner import main, nature, update_operations
+from carracing_dqn.benchmarks import bench_learner
+from carracing_dqn.benchmarks.bench_learner import main, nature, update_operations
 from learning_cases import tiny
 
 

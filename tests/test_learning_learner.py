@@ -27,8 +27,8 @@ def make_batch(size=6, seed=0, **changes):
     return batch._replace(**changes)
 
 
-def values(network, pictures):
-    return network(network.prepare(torch.from_numpy(pictures))).numpy()
+def values(network, observations):
+    return network(network.prepare(torch.from_numpy(observations))).numpy()
 
 
 def differ(network):
@@ -45,9 +45,9 @@ def test_loss_and_targets_by_hand(double, loss):
     differ(learner.target)
     batch = make_batch()
     with torch.no_grad():
-        online = values(learner.online, batch.pictures)
-        next_online = values(learner.online, batch.next_pictures)
-        next_target = values(learner.target, batch.next_pictures)
+        online = values(learner.online, batch.observations)
+        next_online = values(learner.online, batch.next_observations)
+        next_target = values(learner.target, batch.next_observations)
     expected_loss, expected_error, expected_q = [], [], []
     for index in range(6):
         chosen = (next_online if double else next_target)[index].argmax()
@@ -68,13 +68,13 @@ def test_loss_and_targets_by_hand(double, loss):
 def test_dueling_adds_value_and_centred_advantage():
     learner = make_learner(dueling=True)
     network = learner.online
-    pictures = torch.from_numpy(make_batch().pictures)
+    observations = torch.from_numpy(make_batch().observations)
     with torch.no_grad():
         hidden = torch.relu(network.hidden(torch.relu(
-            network.convolutions[0](pictures / 255)).permute(0, 2, 3, 1).flatten(1)))
+            network.convolutions[0](observations / 255)).permute(0, 2, 3, 1).flatten(1)))
         value, advantage = network.value(hidden[:, :4]), network.advantage(hidden[:, 4:])
         expected = value + advantage - advantage.mean(1, keepdim=True)
-        assert torch.allclose(network(network.prepare(pictures)), expected, atol=1e-5)
+        assert torch.allclose(network(network.prepare(observations)), expected, atol=1e-5)
 
 
 def test_the_gradient_is_clipped():
@@ -121,12 +121,12 @@ def test_it_learns_which_action_pays(bf16):
     random = np.random.default_rng(0)
     for _ in range(400):
         dark = random.random(32) < 0.5
-        pictures = np.where(dark, 30, 220).astype(np.uint8)[:, None, None, None]
-        pictures = np.broadcast_to(pictures, (32, 2, 12, 12)).copy()
+        observations = np.where(dark, 30, 220).astype(np.uint8)[:, None, None, None]
+        observations = np.broadcast_to(observations, (32, 2, 12, 12)).copy()
         actions = random.integers(0, 5, 32)
         rewards = np.where(actions == np.where(dark, 1, 3), 1, -1).astype(np.float32)
         learner.update(
-            Batch(pictures, actions, rewards, pictures, np.zeros(32, np.float32)), 5e-3)
+            Batch(observations, actions, rewards, observations, np.zeros(32, np.float32)), 5e-3)
     with torch.no_grad():
         for level, best in ((30, 1), (220, 3)):
             q_values = values(learner.online, np.full((1, 2, 12, 12), level, np.uint8))[0]

@@ -10,8 +10,8 @@ from trainer_node.stack_gather import gather_stacks
 GAMMA = 0.5
 
 
-def picture(level):
-    # two bytes, so that every picture of a test can be told apart
+def observation(level):
+    # two bytes, so that every observation of a test can be told apart
     return np.array([[level % 256, level // 256]], np.uint8)
 
 
@@ -20,15 +20,15 @@ def level(pixels):
 
 
 def fill(buffer, stretches):
-    """Fill with stretches (length, how it ends); return what each picture led to."""
+    """Fill with stretches (length, how it ends); return what each observation led to."""
     truth, number = {}, 0
     for length, end in stretches:
         first = number
-        buffer.start(picture(number))
+        buffer.start(observation(number))
         for step in range(length):
             reward = float(number + 1)
             terminated = end == 'terminated' and step == length - 1
-            buffer.add(number % 5, reward, picture(number + 1), terminated=terminated)
+            buffer.add(number % 5, reward, observation(number + 1), terminated=terminated)
             truth[number] = (first, first + length, reward, terminated)
             number += 1
         number += 1
@@ -36,7 +36,7 @@ def fill(buffer, stretches):
 
 
 def expected(truth, start, n_steps):
-    """Return rewards, discount and the picture after up to n steps, by walking."""
+    """Return rewards, discount and the observation after up to n steps, by walking."""
     _, last, _, _ = truth[start]
     total, discount, place = 0.0, 1.0, start
     for _ in range(n_steps):
@@ -71,7 +71,7 @@ def test_no_sample_crosses_a_boundary(stretches, capacity, frame_stack, n_steps)
         assert capacity <= frame_stack + 9
         return
     for index in range(64):
-        stack = [level(pixels) for pixels in batch.pictures[index]]
+        stack = [level(pixels) for pixels in batch.observations[index]]
         number = stack[-1]
         first = truth[number][0]
         assert stack == [max(number - back, first) for back in range(frame_stack - 1, -1, -1)]
@@ -79,7 +79,7 @@ def test_no_sample_crosses_a_boundary(stretches, capacity, frame_stack, n_steps)
         rewards, discount, after = expected(truth, number, n_steps)
         assert batch.rewards[index] == pytest.approx(rewards)
         assert batch.discounts[index] == pytest.approx(discount)
-        next_stack = [level(pixels) for pixels in batch.next_pictures[index]]
+        next_stack = [level(pixels) for pixels in batch.next_observations[index]]
         assert next_stack == [max(after - back, first) for back in range(frame_stack - 1, -1, -1)]
 
 
@@ -89,7 +89,7 @@ def test_every_held_transition_is_drawn_about_as_often():
     random = np.random.default_rng(1)
     counts = {}
     for _ in range(100):
-        for pixels in buffer.sample(64, random).pictures[:, -1]:
+        for pixels in buffer.sample(64, random).observations[:, -1]:
             counts[level(pixels)] = counts.get(level(pixels), 0) + 1
     newest = max(truth) + 1
     held = [number for number in truth if number > newest - 50 + 1]
@@ -97,7 +97,7 @@ def test_every_held_transition_is_drawn_about_as_often():
     assert max(counts.values()) < 1.6 * min(counts.values())
 
 
-def test_each_picture_is_stored_once():
+def test_each_observation_is_stored_once():
     buffer = ReplayBuffer(100, (1, 2), frame_stack=4)
     fill(buffer, [(9, 'truncated')] * 5)
     assert len(buffer) == 50
@@ -109,7 +109,7 @@ def test_an_empty_buffer_says_so():
     with pytest.raises(ValueError, match='holds no transition'):
         buffer.sample(1, np.random.default_rng(0))
     for _ in range(5):
-        buffer.start(picture(0))
+        buffer.start(observation(0))
     with pytest.raises(ValueError, match='holds no transition'):
         buffer.sample(1, np.random.default_rng(0))
 
@@ -117,23 +117,23 @@ def test_an_empty_buffer_says_so():
 def test_a_lone_transition_among_broken_stretches_is_found():
     buffer = ReplayBuffer(5000, (1, 2))
     for _ in range(4000):
-        buffer.start(picture(3))
-    buffer.add(2, 1.0, picture(4), terminated=False)
-    buffer.start(picture(3))
+        buffer.start(observation(3))
+    buffer.add(2, 1.0, observation(4), terminated=False)
+    buffer.start(observation(3))
     assert set(buffer.sample(8, np.random.default_rng(0)).actions) == {2}
 
 
 @pytest.mark.parametrize('stack', [1, 2, 4, 5])
 def test_stacks_are_read_in_order_and_channels_last(stack):
     random = np.random.default_rng(0)
-    pictures = random.integers(0, 256, (30, 9, 7), np.uint8)
+    observations = random.integers(0, 256, (30, 9, 7), np.uint8)
     slots = random.integers(0, 30, (6, stack))
     out = np.empty((6, 9, 7, stack), np.uint8)
-    gather_stacks(pictures, slots, out)
-    assert np.array_equal(out.transpose(0, 3, 1, 2), pictures[slots])
+    gather_stacks(observations, slots, out)
+    assert np.array_equal(out.transpose(0, 3, 1, 2), observations[slots])
 
 
-def test_flips_mirror_pictures_and_actions_together():
+def test_flips_mirror_observations_and_actions_together():
     buffer = ReplayBuffer(100, (1, 2), mirrored=(0, 2, 1))
     buffer.start(np.array([[10, 20]], np.uint8))
     buffer.add(1, 1.0, np.array([[30, 40]], np.uint8), terminated=False)
@@ -142,8 +142,8 @@ def test_flips_mirror_pictures_and_actions_together():
     assert 60 < flipped.sum() < 140
     for index in range(200):
         expected_pair = ([[20, 10]], [[40, 30]]) if flipped[index] else ([[10, 20]], [[30, 40]])
-        assert batch.pictures[index, 0].tolist() == expected_pair[0]
-        assert batch.next_pictures[index, 0].tolist() == expected_pair[1]
+        assert batch.observations[index, 0].tolist() == expected_pair[0]
+        assert batch.next_observations[index, 0].tolist() == expected_pair[1]
 
 
 def test_a_restored_buffer_samples_the_same():
@@ -151,11 +151,11 @@ def test_a_restored_buffer_samples_the_same():
     fill(buffer, [(7, 'terminated'), (5, 'broken'), (9, 'truncated'), (9, 'broken')])
     arrays = {name: array.copy() for name, array in buffer.state_arrays().items()}
     other.load_state(arrays, buffer.written)
-    other.put_pictures(buffer.oldest, buffer.pictures(buffer.oldest, buffer.written))
+    other.put_observations(buffer.oldest, buffer.observations(buffer.oldest, buffer.written))
     for own in (buffer, other):
-        own.add(1, 5.0, picture(999), terminated=False)
+        own.add(1, 5.0, observation(999), terminated=False)
     first = buffer.sample(40, np.random.default_rng(0))
     second = other.sample(40, np.random.default_rng(0))
     assert all(np.array_equal(a, b) for a, b in zip(first, second))
-    with pytest.raises(ValueError, match='replay pictures are'):
-        ReplayBuffer(30, (2, 2)).put_pictures(0, buffer.pictures(0, 10))
+    with pytest.raises(ValueError, match='replay observations are'):
+        ReplayBuffer(30, (2, 2)).put_observations(0, buffer.observations(0, 10))

@@ -15,7 +15,7 @@ from msgs_bridge.twists import Action
 import numpy as np
 import pytest
 import torch
-from trainer_node import picture_blocks
+from trainer_node import observation_blocks
 from trainer_node.checkpoint_file import read_checkpoint
 from trainer_node.errors import LearningError, RunError
 from trainer_node.training import Training
@@ -83,8 +83,8 @@ def test_the_same_stream_gives_the_same_weights(tmp_path):
 
 @pytest.mark.parametrize('stop', [5, 21, 140])
 def test_an_interrupted_run_goes_on_as_if_nothing_had_happened(tmp_path, stop, monkeypatch):
-    # so that the pictures of this short run fill blocks, too
-    monkeypatch.setattr(picture_blocks, 'BLOCK', 16)
+    # so that the observations of this short run fill blocks, too
+    monkeypatch.setattr(observation_blocks, 'BLOCK', 16)
     transitions = list(stream(230))
     whole, parts = [], []
     training = create(tmp_path / 'whole', **RICH)
@@ -203,7 +203,7 @@ def test_a_stamp_that_does_not_follow_starts_a_new_stretch(tmp_path):
     del transitions[5]
     for transition in transitions:
         training.add(transition)
-    # 11 transitions in two stretches: a picture more than transitions for each
+    # 11 transitions in two stretches: an observation more than transitions for each
     assert len(training.buffer) == 13
     assert training.buffer.transitions == 11
 
@@ -228,11 +228,11 @@ def test_ends_are_kept_apart(tmp_path):
         training = create(tmp_path / f'run{terminal}', early_end_terminal=terminal)
         first = next(iter(stream(1)))
         facts = make_facts(truncated=1.0, ended_early=1.0)
-        training.add(dataclasses.replace(first, facts=facts))
+        training.add(dataclasses.replace(first, info=facts))
         batch = training.buffer.sample(4, np.random.default_rng(0))
         assert batch.discounts[0] == pytest.approx(0.0 if terminal else 0.99)
     training = create(tmp_path / 'run3')
-    training.add(dataclasses.replace(first, facts=make_facts(terminated=1.0)))
+    training.add(dataclasses.replace(first, info=make_facts(terminated=1.0)))
     assert training.buffer.sample(1, np.random.default_rng(0)).discounts[0] == 0.0
 
 
@@ -277,24 +277,24 @@ def test_a_full_disk_keeps_the_checkpoint_before(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize('how', ['cut', 'empty', 'other', 'missing'])
-def test_a_damaged_block_of_pictures_is_named(tmp_path, how, monkeypatch):
-    monkeypatch.setattr(picture_blocks, 'BLOCK', 16)
+def test_a_damaged_block_of_observations_is_named(tmp_path, how, monkeypatch):
+    monkeypatch.setattr(observation_blocks, 'BLOCK', 16)
     training = create(tmp_path / 'run')
     drive(training, stream(60))
     training.save()
-    block = sorted(training.folder.checkpoint.parent.glob('pictures-*'))[1]
+    block = sorted(training.folder.checkpoint.parent.glob('observations-*'))[1]
     block.unlink() if how == 'missing' else damage(block, how)
     with pytest.raises(RunError, match=f'{block.name}: damaged checkpoint'):
         Training.resume(tmp_path / 'run', device='cpu')
 
 
 def test_blocks_that_no_checkpoint_needs_are_removed(tmp_path, monkeypatch):
-    monkeypatch.setattr(picture_blocks, 'BLOCK', 16)
+    monkeypatch.setattr(observation_blocks, 'BLOCK', 16)
     training = create(tmp_path / 'run')
     for seed in range(6):
         drive(training, stream(60, seed=seed))
         training.save()
-    blocks = list(training.folder.checkpoint.parent.glob('pictures-*'))
+    blocks = list(training.folder.checkpoint.parent.glob('observations-*'))
     assert training.buffer.oldest > 100
     assert len(blocks) <= training.settings.replay_capacity // 16 + 1
 
@@ -356,8 +356,8 @@ def test_nan_stops_learning_and_the_state_can_still_be_saved(tmp_path):
     with pytest.raises(LearningError, match='update .*: the loss is nan'):
         for index, transition in enumerate(stream(200)):
             if index > 30:
-                facts = {**transition.facts, 'reward': float('nan')}
-                transition = dataclasses.replace(transition, facts=facts)
+                facts = {**transition.info, 'reward': float('nan')}
+                transition = dataclasses.replace(transition, info=facts)
             training.add(transition)
     assert training.save().is_file()
 

@@ -9,7 +9,7 @@ import sys
 from xml.etree import ElementTree
 
 from ament_index_python.packages import get_package_share_directory
-from bringup.environment import EXECUTABLES, lay_out
+from carracing_dqn.bringup.environment import EXECUTABLES, lay_out
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]

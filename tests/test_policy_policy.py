@@ -37,9 +37,9 @@ def test_act_decides_once_and_holds():
     policy.swap_weights(update)
     other.swap_weights(update)
     policy.reset()
-    pictures = frames(12)
-    acted = [policy.act(frame) for frame in pictures]
-    decided = [tuple(other.decide(frame).action) for frame in pictures[::4]]
+    observations = frames(12)
+    acted = [policy.act(frame) for frame in observations]
+    decided = [tuple(other.decide(frame).action) for frame in observations[::4]]
     assert acted == [action for action in decided for _ in range(4)]
     assert all(isinstance(value, float) for value in acted[0])
 
@@ -47,11 +47,11 @@ def test_act_decides_once_and_holds():
 def test_a_reset_forgets_frames_and_held_action():
     policy = Policy(DESCRIPTION)
     policy.swap_weights(weights(1))
-    pictures = frames(6)
-    first = [policy.decide(frame).q_values for frame in pictures[:2]]
-    policy.act(pictures[5])
+    observations = frames(6)
+    first = [policy.decide(frame).q_values for frame in observations[:2]]
+    policy.act(observations[5])
     policy.reset()
-    again = [policy.decide(frame).q_values for frame in pictures[:2]]
+    again = [policy.decide(frame).q_values for frame in observations[:2]]
     assert np.array_equal(first, again)
 
 
@@ -103,16 +103,16 @@ def test_epsilon_is_the_share_of_random_actions():
 
 def test_swapped_weights_act_from_the_next_decision_on():
     policy, fresh = Policy(DESCRIPTION), Policy(DESCRIPTION)
-    pictures = frames(3)
+    observations = frames(3)
     policy.swap_weights(weights(1))
-    policy.decide(pictures[0])
+    policy.decide(observations[0])
     policy.swap_weights(weights(2, epsilon=0.5))
     policy.epsilon = 0.0
     fresh.swap_weights(weights(2))
-    fresh.decide(pictures[0])
+    fresh.decide(observations[0])
     assert policy.version == 2
     assert np.array_equal(
-        policy.decide(pictures[1]).q_values, fresh.decide(pictures[1]).q_values)
+        policy.decide(observations[1]).q_values, fresh.decide(observations[1]).q_values)
 
 
 def test_weights_of_another_model_are_refused():
@@ -140,11 +140,11 @@ def test_the_dummy_agent_draws_all_actions_alike():
 
 def test_dropout_drops_its_share_and_only_when_asked():
     network = QNetwork(DESCRIPTION)
-    pictures = torch.from_numpy(frames(1)[..., 0]).repeat(1, 3, 1, 1)[:, :, ::4, ::4]
-    pictures = network.prepare(pictures)
-    assert torch.equal(network(pictures), network(pictures))
+    observations = torch.from_numpy(frames(1)[..., 0]).repeat(1, 3, 1, 1)[:, :, ::4, ::4]
+    observations = network.prepare(observations)
+    assert torch.equal(network(observations), network(observations))
     random = np.random.default_rng(0)
-    outputs = [network(pictures, dropout=random) for _ in range(400)]
+    outputs = [network(observations, dropout=random) for _ in range(400)]
     assert not torch.equal(outputs[0], outputs[1])
     from dqn_policy_node.network import _dropout_mask
     mask = _dropout_mask(torch.zeros(8, 4, 9, 9), 0.25, random)

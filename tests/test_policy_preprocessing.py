@@ -1,6 +1,6 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
-"""Frames to pictures, against plain arithmetic."""
+"""Frames to observations, against plain arithmetic."""
 import time
 
 from dqn_policy_node.frame_stack import FrameStack
@@ -81,19 +81,19 @@ def test_it_takes_far_less_than_a_frame_lasts(frame):
     assert min(times) < 100e-6
 
 
-def test_the_first_picture_fills_the_stack():
+def test_the_first_observation_fills_the_stack():
     stack = FrameStack(3, (1, 1))
-    pictures = [np.full((1, 1), level, np.uint8) for level in (5, 6, 7, 8)]
-    seen = [stack.push(picture).ravel().tolist() for picture in pictures]
+    observations = [np.full((1, 1), level, np.uint8) for level in (5, 6, 7, 8)]
+    seen = [stack.push(observation).ravel().tolist() for observation in observations]
     assert seen == [[5, 5, 5], [5, 5, 6], [5, 6, 7], [6, 7, 8]]
     stack.reset()
     assert stack.push(np.full((1, 1), 9, np.uint8)).ravel().tolist() == [9, 9, 9]
 
 
-def test_pictures_may_come_more_often_than_the_stack_is_spaced():
+def test_observations_may_come_more_often_than_the_stack_is_spaced():
     stack = FrameStack(3, (1, 1), spacing=4)
-    pictures = [np.full((1, 1), level, np.uint8) for level in range(8)]
-    seen = [stack.push(picture, 2).ravel().tolist() for picture in pictures]
+    observations = [np.full((1, 1), level, np.uint8) for level in range(8)]
+    seen = [stack.push(observation, 2).ravel().tolist() for observation in observations]
     assert seen[:4] == [[0, 0, 0], [0, 0, 1], [0, 0, 2], [0, 1, 3]]
     assert seen[6:] == [[2, 4, 6], [3, 5, 7]]
-    assert stack.push(pictures[0], 4).ravel().tolist() == [5, 7, 0]
+    assert stack.push(observations[0], 4).ravel().tolist() == [5, 7, 0]

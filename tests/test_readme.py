@@ -4,16 +4,17 @@
 from pathlib import Path
 import re
 
-from bringup.command import SUBCOMMANDS
-from bringup.environment import EXECUTABLES
-from bringup.reference_tables import SETTINGS, with_tables
+from carracing_dqn.bringup.command import SUBCOMMANDS
+from carracing_dqn.bringup.environment import EXECUTABLES
+from carracing_dqn.bringup.reference_tables import SETTINGS, with_tables
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / 'README.md').read_text(encoding='utf-8')
 
 
 def test_the_tables_are_those_of_the_code():
-    assert with_tables(README) == README, 'run python -m bringup.reference_tables README.md'
+    assert with_tables(README) == README, (
+        'run python -m carracing_dqn.bringup.reference_tables README.md')
     for name in ('topics', *SETTINGS):
         assert f'<!-- table: {name} -->' in README
 

@@ -11,8 +11,8 @@ import pygame
 from pygame import gfxdraw
 import pytest
 
-from benchmarks.driver import Driver
-from benchmarks.fidelity import compare
+from carracing_dqn.benchmarks.driver import Driver
+from carracing_dqn.benchmarks.fidelity import compare
 from carracing_sim_node import guard
 from carracing_sim_node import make_env
 from carracing_sim_node import scanline

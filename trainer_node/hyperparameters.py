@@ -53,7 +53,7 @@ class Hyperparameters:
         'plain', 'how the faint shades of unvisited road are shown: as drawn, all in one shade '
         '(AMD-RIPS 2018 hid them, too), or with more contrast', choices=ROADS)
     frame_stack: int = setting(
-        1, 'pictures the network sees at once; the report names one (2.1)', low=1, high=16)
+        1, 'observations the network sees at once; the report names one (2.1)', low=1, high=16)
     action_set: str = setting(
         'seed5', 'the discrete actions; the five of the report are seed5 (2.2.2)',
         choices=tuple(ACTION_SETS))

@@ -113,13 +113,13 @@ class Learner:
         Raises:
             LearningError: the loss is not finite; the weights are as before the update.
         """
-        pictures, next_pictures, actions, rewards, discounts = (
+        observations, next_observations, actions, rewards, discounts = (
             torch.from_numpy(array).to(self.device) for array in (
-                batch.pictures, batch.next_pictures, batch.actions, batch.rewards,
+                batch.observations, batch.next_observations, batch.actions, batch.rewards,
                 batch.discounts))
-        target = self._targets(next_pictures, rewards, discounts)
+        target = self._targets(next_observations, rewards, discounts)
         network = self._working
-        q_values = network(network.prepare(pictures), dropout=self._dropout)
+        q_values = network(network.prepare(observations), dropout=self._dropout)
         chosen = q_values.gather(1, actions.unsqueeze(1)).squeeze(1)
         loss = self._loss(chosen, target)
         for parameter in self._working_parameters:
@@ -142,10 +142,10 @@ class Learner:
 
     @torch.no_grad()
     def _targets(
-        self, next_pictures: torch.Tensor, rewards: torch.Tensor, discounts: torch.Tensor,
+        self, next_observations: torch.Tensor, rewards: torch.Tensor, discounts: torch.Tensor,
     ) -> torch.Tensor:
         """Return reward plus discounted value of what came next, float32 (B,)."""
-        x = self.target.prepare(next_pictures)
+        x = self.target.prepare(next_observations)
         judged = self.target(x)
         if self.settings.double:
             best = self._working(x).argmax(1, keepdim=True)

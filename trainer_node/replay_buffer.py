@@ -1,12 +1,13 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The replay buffer: every picture once, samples by a few vectorised reads.
+The replay buffer: every observation once, samples by a few vectorised reads.
 
-Pictures lie in a ring in the order they came. A slot holds a picture and, once it is known, what
-was done on seeing it: action, reward and whether the rules ended the episode there. The last
-picture of an unbroken stretch has no action, so whatever walks forward from a slot stops there,
-and `age`, the number of pictures before it in its stretch, stops whatever looks back.
+Observations lie in a ring in the order they came. A slot holds an observation and, once it is
+known, what was done on seeing it: action, reward and whether the rules ended the episode there.
+The last observation of an unbroken stretch has no action, so whatever walks forward from a slot
+stops there, and `age`, the number of observations before it in its stretch, stops whatever looks
+back.
 """
 from __future__ import annotations
 
@@ -22,29 +23,29 @@ class Batch(NamedTuple):
     Samples for one update.
 
     Attributes:
-        pictures: uint8 (B, stack, H, W), oldest first, channels last in memory.
+        observations: uint8 (B, stack, H, W), oldest first, channels last in memory.
         actions: int64 (B,).
         rewards: float32 (B,), discounted sum over up to n steps.
-        next_pictures: uint8 (B, stack, H, W), what was seen after those steps.
-        discounts: float32 (B,), factor on the value of `next_pictures`; 0 where the rules ended
-            the episode, a cut-off episode goes on being worth something.
+        next_observations: uint8 (B, stack, H, W), what was seen after those steps.
+        discounts: float32 (B,), factor on the value of `next_observations`; 0 where the rules
+            ended the episode, a cut-off episode goes on being worth something.
     """
 
-    pictures: np.ndarray
+    observations: np.ndarray
     actions: np.ndarray
     rewards: np.ndarray
-    next_pictures: np.ndarray
+    next_observations: np.ndarray
     discounts: np.ndarray
 
 
 class ReplayBuffer:
     """
-    A ring of pictures and what was done on seeing them.
+    A ring of observations and what was done on seeing them.
 
     Args:
-        capacity: pictures that fit.
-        shape: height and width of a picture.
-        frame_stack: pictures in a stack.
+        capacity: observations that fit.
+        shape: height and width of an observation.
+        frame_stack: observations in a stack.
         n_steps: rewards that are added up before bootstrapping.
         gamma: discount of one step.
         mirrored: for each action its mirror image, to flip half of the samples; None never does.
@@ -62,7 +63,7 @@ class ReplayBuffer:
         self.n_steps = n_steps
         self.gamma = gamma
         self._mirrored = None if mirrored is None else np.array(mirrored, np.int64)
-        self._pictures = np.empty((capacity, *shape), np.uint8)
+        self._observations = np.empty((capacity, *shape), np.uint8)
         self._actions = np.zeros(capacity, np.uint8)
         self._rewards = np.zeros(capacity, np.float32)
         self._terminated = np.zeros(capacity, bool)
@@ -73,7 +74,7 @@ class ReplayBuffer:
         self._gathered = np.empty((0, *shape, frame_stack), np.uint8)
 
     def __len__(self) -> int:
-        """Return the number of pictures held."""
+        """Return the number of observations held."""
         return min(self.written, self.capacity)
 
     @property
@@ -81,20 +82,20 @@ class ReplayBuffer:
         """Return the number of transitions held."""
         return int(np.count_nonzero(self._acted[:len(self)]))
 
-    def start(self, picture: np.ndarray) -> None:
-        """Begin a stretch with its first picture, uint8 (H, W)."""
-        self._write(picture, 0)
+    def start(self, observation: np.ndarray) -> None:
+        """Begin a stretch with its first observation, uint8 (H, W)."""
+        self._write(observation, 0)
 
     def add(
-        self, action: int, reward: float, next_picture: np.ndarray, *, terminated: bool,
+        self, action: int, reward: float, next_observation: np.ndarray, *, terminated: bool,
     ) -> None:
         """
-        Add what was done on seeing the newest picture, and the picture that followed.
+        Add what was done on seeing the newest observation, and the observation that followed.
 
         Args:
             action: index of the action.
             reward: what it earned, shaped and scaled.
-            next_picture: uint8 (H, W).
+            next_observation: uint8 (H, W).
             terminated: whether the rules ended the episode. After any end call `start` next.
         """
         newest = (self.written - 1) % self.capacity
@@ -102,11 +103,11 @@ class ReplayBuffer:
         self._rewards[newest] = reward
         self._terminated[newest] = terminated
         self._acted[newest] = True
-        self._write(next_picture, int(self._ages[newest]) + 1)
+        self._write(next_observation, int(self._ages[newest]) + 1)
 
-    def _write(self, picture: np.ndarray, age: int) -> None:
+    def _write(self, observation: np.ndarray, age: int) -> None:
         slot = self.written % self.capacity
-        self._pictures[slot] = picture
+        self._observations[slot] = observation
         self._ages[slot] = age
         self._acted[slot] = False
         self._terminated[slot] = False
@@ -116,7 +117,7 @@ class ReplayBuffer:
         """
         Draw transitions uniformly, with replacement.
 
-        The pictures are views on memory that the next call overwrites.
+        The observations are views on memory that the next call overwrites.
 
         Raises:
             ValueError: no transition is held.
@@ -125,13 +126,14 @@ class ReplayBuffer:
         rewards, discounts, steps = self._look_ahead(numbers)
         slots = numbers % self.capacity
         actions = self._actions[slots].astype(np.int64)
-        pictures = self._stacks(np.concatenate([numbers, numbers + steps]))
+        observations = self._stacks(np.concatenate([numbers, numbers + steps]))
         if self._mirrored is not None:
             flipped = random.random(batch_size) < 0.5
             actions = np.where(flipped, self._mirrored[actions], actions)
             both = np.concatenate([flipped, flipped])
-            pictures[both] = pictures[both][..., ::-1]
-        return Batch(pictures[:batch_size], actions, rewards, pictures[batch_size:], discounts)
+            observations[both] = observations[both][..., ::-1]
+        return Batch(
+            observations[:batch_size], actions, rewards, observations[batch_size:], discounts)
 
     def _draw(self, count: int, random: np.random.Generator) -> np.ndarray:
         """Return numbers of slots that hold an action and a whole stack, int64 (count,)."""
@@ -178,8 +180,8 @@ class ReplayBuffer:
         slots = (numbers[:, None] - np.minimum(back, ages[:, None])) % self.capacity
         if len(self._gathered) != len(slots):
             self._gathered = np.empty(
-                (len(slots), *self._pictures.shape[1:], self.frame_stack), np.uint8)
-        gather_stacks(self._pictures, slots, self._gathered)
+                (len(slots), *self._observations.shape[1:], self.frame_stack), np.uint8)
+        gather_stacks(self._observations, slots, self._gathered)
         return self._gathered.transpose(0, 3, 1, 2)
 
     @property
@@ -187,32 +189,32 @@ class ReplayBuffer:
         """Return the number of the oldest slot that is still held."""
         return max(self.written - self.capacity, 0)
 
-    def pictures(self, first: int, end: int) -> np.ndarray:
-        """Return the pictures of slots first to end - 1, uint8 (end - first, H, W), as a copy."""
-        return self._pictures[np.arange(first, end) % self.capacity]
+    def observations(self, first: int, end: int) -> np.ndarray:
+        """Return a copy of slots first to end - 1, uint8 (end - first, H, W)."""
+        return self._observations[np.arange(first, end) % self.capacity]
 
-    def put_pictures(self, first: int, pictures: np.ndarray) -> None:
+    def put_observations(self, first: int, observations: np.ndarray) -> None:
         """
-        Put pictures, uint8 (N, H, W), into the slots from `first` on that are still held.
+        Put observations, uint8 (N, H, W), into the slots from `first` on that are still held.
 
         Raises:
-            ValueError: another picture size or type.
+            ValueError: another observation size or type.
         """
-        own = self._pictures
-        if pictures.shape[1:] != own.shape[1:] or pictures.dtype != own.dtype:
-            raise ValueError(f'replay pictures are {pictures.dtype} {pictures.shape}; '
+        own = self._observations
+        if observations.shape[1:] != own.shape[1:] or observations.dtype != own.dtype:
+            raise ValueError(f'replay observations are {observations.dtype} {observations.shape}; '
                              f'expected {own.dtype} {own.shape[1:]}')
-        numbers = np.arange(first, first + len(pictures))
+        numbers = np.arange(first, first + len(observations))
         held = (numbers >= self.oldest) & (numbers < self.written)
-        own[numbers[held] % self.capacity] = pictures[held]
+        own[numbers[held] % self.capacity] = observations[held]
 
     def state_arrays(self) -> dict[str, np.ndarray]:
-        """Return the filled part of each array but the pictures, as views."""
+        """Return the filled part of each array but the observations, as views."""
         return {name: getattr(self, f'_{name}')[:len(self)] for name in self._ARRAYS}
 
     def load_state(self, arrays: dict[str, np.ndarray], written: int) -> None:
         """
-        Take over what `state_arrays` gave; the pictures are put in with `put_pictures`.
+        Take over what `state_arrays` gave; the observations are put in with `put_observations`.
 
         Raises:
             ValueError: arrays of another capacity.

@@ -34,7 +34,7 @@ from trainer_node.errors import RunError
 from trainer_node.hyperparameters import Hyperparameters, to_yaml
 from trainer_node.learner import Learner, UpdateResult
 from trainer_node.limiter import ReplayRatioLimiter
-from trainer_node.picture_blocks import PictureBlocks
+from trainer_node.observation_blocks import ObservationBlocks
 from trainer_node.replay_buffer import ReplayBuffer
 from trainer_node.run_folder import describe_machine, now, RunFolder
 from trainer_node.shaping import shaped_reward
@@ -101,7 +101,7 @@ class Training:
             settings.replay_capacity, self.description.preprocessing.shape,
             frame_stack=settings.frame_stack, n_steps=settings.n_steps, gamma=settings.gamma,
             mirrored=self.description.action_set.mirrored() if settings.flips else None)
-        self._blocks = PictureBlocks(folder.checkpoint.parent)
+        self._blocks = ObservationBlocks(folder.checkpoint.parent)
         self.limiter = ReplayRatioLimiter(
             settings.samples_per_transition, settings.batch_size, settings.learning_starts)
         self._learning_rate = schedules.LearningRate(settings)
@@ -228,14 +228,14 @@ class Training:
             self.foreign_actions += 1
             self._next_stamp = -1
             raise
-        next_picture = self._preprocess(transition.next_frame)
+        next_observation = self._preprocess(transition.next_frame)
         if transition.stamp != self._next_stamp:
             self.buffer.start(self._preprocess(transition.frame))
-        facts = transition.facts
-        reward = shaped_reward(self.settings, facts, transition.previous_facts)
+        facts = transition.info
+        reward = shaped_reward(self.settings, facts, transition.previous_info)
         terminated = transition.terminated or bool(
             self.settings.early_end_terminal and facts['ended_early'])
-        self.buffer.add(index, reward, next_picture, terminated=terminated)
+        self.buffer.add(index, reward, next_observation, terminated=terminated)
         ended = transition.terminated or transition.truncated
         self._next_stamp = -1 if ended else transition.next_stamp
         self.decisions += 1
@@ -449,7 +449,7 @@ class Training:
         """
         self._saved_seconds = self.wall_seconds
         arrays = {f'replay.{name}': array for name, array in self.buffer.state_arrays().items()}
-        arrays['pictures'] = self._blocks.write(self.buffer)
+        arrays['observations'] = self._blocks.write(self.buffer)
         for name, tensor in self.learner.state_tensors().items():
             arrays[f'learner.{name}'] = tensor.contiguous().numpy()
         for version, tensors in self._pending.items():
@@ -495,7 +495,7 @@ class Training:
         self.buffer.load_state(
             {name.removeprefix('replay.'): array for name, array in arrays.items()},
             state['written'])
-        self._blocks.read(self.buffer, arrays['pictures'])
+        self._blocks.read(self.buffer, arrays['observations'])
         for name, tensor in tensors.items():
             if name.startswith('pending.'):
                 _, version, key = name.split('.', 2)

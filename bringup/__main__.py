@@ -1,8 +1,0 @@
-# Copyright 2026 The carracing_dqn authors
-# SPDX-License-Identifier: Apache-2.0
-"""`python -m bringup` is the `carracing` command."""
-import sys
-
-from bringup.command import main
-
-sys.exit(main())

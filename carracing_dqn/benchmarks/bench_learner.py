@@ -1,0 +1,214 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+`carracing bench learner`: updates a second, against Stable-Baselines3's DQN.
+
+Both learn with the same network (Nature: 32@8/4 64@4/2 64@3/1, 512) on the same observations
+(4x84x84), batch 32, one thread, plain DQN with Huber loss, sampling from the replay buffer
+included. They take turns within each round; figures are medians over rounds, ratios are taken
+within a round. The share of the core's matrix rate is the arithmetic of an update against a
+matrix product measured in the same round.
+"""
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+import json
+import os
+from pathlib import Path
+from statistics import median
+import sys
+import time
+from typing import Any
+
+import numpy as np
+import torch
+
+from dqn_policy_node.action_sets import action_set
+from dqn_policy_node.model_description import ModelDescription
+from trainer_node.hyperparameters import Hyperparameters, load_preset
+from trainer_node.learner import Learner
+from trainer_node.replay_buffer import ReplayBuffer
+from trainer_node.run_folder import describe_machine
+
+SIDE, STACK, BATCH = 84, 4, 32
+HELD = 5000
+MATRIX = 1024
+SB3 = 'stable-baselines3'
+
+Update = Callable[[], Any]
+
+
+def nature(*, bf16: bool) -> Hyperparameters:
+    """Return plain DQN on the Nature network."""
+    return Hyperparameters(
+        rows=SIDE, columns=SIDE, frame_stack=STACK, action_repeat=4, loss='huber', bf16=bf16,
+        batch_size=BATCH, target_update='updates', target_every=10_000)
+
+
+def ours(settings: Hyperparameters) -> Update:
+    """Return a function that samples and makes one update with our learner."""
+    torch.manual_seed(0)
+    learner = Learner(settings, 'cpu')
+    description = settings.model_description()
+    buffer = ReplayBuffer(
+        HELD, description.preprocessing.shape, frame_stack=settings.frame_stack,
+        n_steps=settings.n_steps, gamma=settings.gamma)
+    random = np.random.default_rng(0)
+    for number in range(HELD):
+        observation = random.integers(0, 256, description.preprocessing.shape, np.uint8)
+        if number % 250 == 0:
+            buffer.start(observation)
+        else:
+            buffer.add(int(random.integers(len(action_set(settings.action_set)))),
+                       float(random.normal()), observation, terminated=False)
+    return lambda: learner.update(
+        buffer.sample(settings.batch_size, random), settings.learning_rate)
+
+
+def stable_baselines() -> Update | None:
+    """Return one update of Stable-Baselines3's DQN, None if it is not installed."""
+    try:
+        import gymnasium
+        from stable_baselines3 import DQN
+        from stable_baselines3.common.logger import configure
+    except ImportError:
+        return None
+
+    class Still(gymnasium.Env):
+        """Spaces and nothing else."""
+
+        observation_space = gymnasium.spaces.Box(0, 255, (STACK, SIDE, SIDE), np.uint8)
+        action_space = gymnasium.spaces.Discrete(len(action_set('seed5')))
+
+    model = DQN('CnnPolicy', Still(), buffer_size=HELD, batch_size=BATCH, device='cpu', seed=0,
+                target_update_interval=10_000)
+    model.set_logger(configure(None, []))
+    random = np.random.default_rng(0)
+    shape = (1, STACK, SIDE, SIDE)
+    for _ in range(HELD):
+        model.replay_buffer.add(
+            random.integers(0, 256, shape, np.uint8), random.integers(0, 256, shape, np.uint8),
+            random.integers(0, 5, (1, 1)), random.normal(size=1), np.zeros(1), [{}])
+    torch.set_num_threads(1)
+    return lambda: model.train(gradient_steps=1, batch_size=BATCH)
+
+
+def update_operations(description: ModelDescription, batch: int, *, double: bool) -> float:
+    """Return the multiplications and additions of one update's matrix work."""
+    height, width = description.preprocessing.shape
+    channels, layers = description.frame_stack, []
+    for layer in description.network.convolutions:
+        height = (height - layer.kernel) // layer.stride + 1
+        width = (width - layer.kernel) // layer.stride + 1
+        layers.append(height * width * layer.filters * channels * layer.kernel ** 2)
+        channels = layer.filters
+    hidden, actions = description.network.hidden, len(description.action_set)
+    layers += [channels * height * width * hidden, hidden * actions]
+    forward = 2 * batch * sum(layers)
+    # target forward, online forward, gradient by weights and by inputs (not by the observations)
+    return forward * (4 + double) - 2 * batch * layers[0]
+
+
+def matrix_rates() -> dict[str, float]:
+    """Return operations a second of a matrix product on one core, by type."""
+    rates = {}
+    for name, kind in (('float32', torch.float32), ('bfloat16', torch.bfloat16)):
+        matrix = torch.randn(MATRIX, MATRIX).to(kind)
+        matrix @ matrix
+        times = []
+        for _ in range(5):
+            started = time.perf_counter()
+            matrix @ matrix
+            times.append(time.perf_counter() - started)
+        rates[name] = 2 * MATRIX ** 3 / min(times)
+    return rates
+
+
+def rate(update: Update, count: int) -> float:
+    """Return updates a second over `count` updates."""
+    started = time.perf_counter()
+    for _ in range(count):
+        update()
+    return count / (time.perf_counter() - started)
+
+
+def run(*, rounds: int = 5, updates: int = 60) -> dict[str, Any]:
+    """
+    Measure everything; return JSON values.
+
+    Args:
+        rounds: rounds in which all take their turn.
+        updates: updates of each in a round.
+    """
+    torch.set_num_threads(1)
+    racing = load_preset('racing')
+    contestants = {
+        'ours bf16': ours(nature(bf16=True)),
+        'ours float32': ours(nature(bf16=False)),
+        SB3: stable_baselines(),
+        'racing preset': ours(racing),
+    }
+    contestants = {name: update for name, update in contestants.items() if update}
+    for update in contestants.values():
+        rate(update, 5)
+    rates: dict[str, list[float]] = {name: [] for name in contestants}
+    machine: dict[str, list[float]] = {'float32': [], 'bfloat16': []}
+    for _ in range(rounds):
+        for name, update in contestants.items():
+            rates[name].append(rate(update, updates))
+        for name, value in matrix_rates().items():
+            machine[name].append(value)
+    report = nature(bf16=True).model_description()
+    operations = {
+        'ours bf16': update_operations(report, BATCH, double=False),
+        'ours float32': update_operations(report, BATCH, double=False),
+        'racing preset': update_operations(
+            racing.model_description(), racing.batch_size, double=racing.double),
+    }
+    result: dict[str, Any] = {
+        'updates_per_second': {name: median(values) for name, values in rates.items()},
+        'matrix_rate_gflops': {name: median(values) / 1e9 for name, values in machine.items()},
+        'share_of_matrix_rate': {
+            name: median(
+                own * operations[name] / peak for own, peak in zip(
+                    rates[name],
+                    machine['float32' if name == 'ours float32' else 'bfloat16']))
+            for name in operations},
+        'rounds': rounds, 'updates': updates, 'machine': describe_machine(),
+        'load_average_after': list(os.getloadavg()),
+    }
+    if SB3 in rates:
+        result['times_stable_baselines3'] = {
+            name: median(own / theirs for own, theirs in zip(rates[name], rates[SB3]))
+            for name in ('ours bf16', 'ours float32')}
+    return result
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the benchmark from the command line; return the exit code."""
+    parser = argparse.ArgumentParser(
+        prog='carracing bench learner', description=__doc__.strip().splitlines()[0])
+    parser.add_argument('--rounds', type=int, default=5, help='rounds to take the median of')
+    parser.add_argument('--updates', type=int, default=60, help='updates of each in a round')
+    parser.add_argument('--json', type=Path, help='file to write the figures to')
+    args = parser.parse_args(argv)
+    if args.rounds < 1 or args.updates < 1:
+        parser.error('--rounds and --updates must be at least 1')
+    result = run(rounds=args.rounds, updates=args.updates)
+    lines = [f'{"":20}{"updates/s":>12}{"of matrix rate":>16}{"x SB3":>8}']
+    for name, value in result['updates_per_second'].items():
+        share = result['share_of_matrix_rate'].get(name)
+        times = result.get('times_stable_baselines3', {}).get(name)
+        lines.append(f'{name:20}{value:12.1f}{f"{share:.0%}" if share else "":>16}'
+                     f'{f"{times:.2f}" if times else "":>8}')
+    if SB3 not in result['updates_per_second']:
+        lines.append(f'{SB3} is not installed, so its row is missing: pip install {SB3}')
+    sys.stdout.write('\n'.join(lines) + '\n')
+    if args.json:
+        args.json.write_text(json.dumps(result, indent=1) + '\n')
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,190 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""Where policies come from: a model folder, the dummy agent, or anybody's own code."""
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import importlib
+import inspect
+import os
+from pathlib import Path
+import sys
+from typing import Any
+
+from carracing_dqn.evaluation.errors import PolicyError
+
+RANDOM = 'random'
+MODEL = 'model'
+DUMMY_ACTION_SET = 'seed5'
+# the folders of a run folder that hold a model, the one to evaluate first
+RUN_MODELS = ('best', 'final')
+
+
+class Custom:
+    """A policy of somebody else's: `act` is all it needs."""
+
+    def __init__(self, made: Any) -> None:
+        """Take an object with `act(frame)`, or a function of the frame."""
+        self._made = made
+        self._act = made.act if hasattr(made, 'act') else made
+        self.action_repeat = getattr(made, 'action_repeat', 1)
+
+    def reset(self, seed: int | None = None) -> None:
+        """Pass the reset on, with the seed if the policy takes one."""
+        reset = getattr(self._made, 'reset', None)
+        if reset is None:
+            return
+        if inspect.signature(reset).parameters:
+            reset(seed)
+        else:
+            reset()
+
+    def act(self, frame: Any) -> Any:
+        """Return what the policy answers to a frame."""
+        return self._act(frame)
+
+
+@dataclasses.dataclass(frozen=True)
+class PolicySource:
+    """
+    How to open a policy; can be sent to other processes.
+
+    Attributes:
+        kind: 'model', 'random', or `module:callable`.
+        model: model folder, when the kind is 'model'.
+        device: where a model computes, as PyTorch names it.
+        action_repeat: simulator frames a model's action is held; 0 = as the model says.
+    """
+
+    kind: str
+    model: str = ''
+    device: str = 'cpu'
+    action_repeat: int = 0
+
+    @property
+    def name(self) -> str:
+        """Return a short name for tables and figures."""
+        if self.kind != MODEL:
+            return self.kind
+        folder = Path(self.model).resolve()
+        if folder.name in RUN_MODELS:
+            return f'{folder.parent.name}/{folder.name}'
+        return folder.name
+
+    def open(self) -> Any:
+        """
+        Return the policy.
+
+        Raises:
+            ModelError: the model folder cannot be used.
+            PolicyError: there is no such callable, or what it makes cannot `act`.
+        """
+        if self.kind == MODEL:
+            from dqn_policy_node import load_policy
+            policy = load_policy(self.model, self.device)
+            if self.action_repeat:
+                policy.action_repeat = self.action_repeat
+            return policy
+        if self.kind == RANDOM:
+            return _random_policy()
+        return Custom(_made_by(self.kind))
+
+    def identity(self) -> dict[str, Any]:
+        """
+        Return what makes its laps what they are, as JSON values.
+
+        Raises:
+            ModelError, PolicyError: as `open`.
+        """
+        if self.kind == MODEL:
+            from dqn_policy_node.model_folder import load_model, WEIGHTS_FILE
+            model = load_model(self.model)
+            description = model.description
+            return {
+                'kind': MODEL,
+                'name': self.name,
+                'weights_sha256': hashlib.sha256(
+                    (Path(self.model) / WEIGHTS_FILE).read_bytes()).hexdigest(),
+                'description_sha256': description.sha256(),
+                'action_set': description.action_set.name,
+                'action_repeat': self.action_repeat or description.action_repeat,
+                'version': model.version,
+            }
+        if self.kind == RANDOM:
+            return {'kind': RANDOM, 'name': RANDOM, 'action_set': DUMMY_ACTION_SET,
+                    'action_repeat': 1}
+        self.open()
+        return {'kind': 'custom', 'name': self.kind}
+
+
+def model_source(model: str, device: str = 'cpu') -> PolicySource:
+    """
+    Return the source of a model folder, of a run folder's best model, or of a shipped model.
+
+    Raises:
+        ModelError: there is none of the three.
+    """
+    from dqn_policy_node import find_model
+    folder = Path(model).expanduser()
+    if (folder / 'episodes.csv').is_file() and not (folder / 'model.json').is_file():
+        for name in RUN_MODELS:
+            if (folder / name / 'model.json').is_file():
+                return PolicySource(MODEL, str(folder / name), device)
+        raise PolicyError(
+            f'{folder} is a run without a model yet: neither {" nor ".join(RUN_MODELS)} is there')
+    return PolicySource(MODEL, str(find_model(model)), device)
+
+
+def parse_policy(text: str, model: str, device: str = 'cpu') -> PolicySource:
+    """
+    Return the source that `--policy` and `--model` ask for.
+
+    Raises:
+        PolicyError: the text is neither 'model' nor 'random' nor `module:callable`.
+        ModelError: there is no such model.
+    """
+    if text == MODEL:
+        return model_source(model, device)
+    if text == RANDOM:
+        return PolicySource(RANDOM)
+    module, colon, name = text.partition(':')
+    if not (colon and module and name):
+        raise PolicyError(f"policy is {text!r}; accepted: 'model', 'random', or module:callable")
+    return PolicySource(text)
+
+
+def _random_policy() -> Any:
+    from dqn_policy_node import ACTION_SETS, RandomPolicy
+    policy = RandomPolicy(ACTION_SETS[DUMMY_ACTION_SET])
+    policy.looks_at_frames = False
+    return policy
+
+
+def _made_by(text: str) -> Any:
+    """Return what `module:callable` makes: a policy object, or the function of a frame itself."""
+    module_name, _, name = text.partition(':')
+    if os.getcwd() not in sys.path:
+        sys.path.insert(0, os.getcwd())
+    try:
+        value: Any = importlib.import_module(module_name)
+    except ImportError as error:
+        raise PolicyError(f'policy {text!r}: cannot import {module_name!r}: {error}') from None
+    for part in name.split('.'):
+        if not hasattr(value, part):
+            raise PolicyError(f'policy {text!r}: {module_name} has no {name!r}')
+        value = getattr(value, part)
+    if hasattr(value, 'act') and not isinstance(value, type):
+        return value
+    if not callable(value):
+        raise PolicyError(f'policy {text!r} is a {type(value).__name__}, which cannot be called')
+    try:
+        inspect.signature(value).bind()
+    except (TypeError, ValueError):
+        # takes an argument: a function of the frame
+        return value
+    made = value()
+    if not callable(getattr(made, 'act', made)):
+        raise PolicyError(
+            f'policy {text!r} made a {type(made).__name__}; expected an object with act(frame)')
+    return made

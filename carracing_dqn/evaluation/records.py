@@ -1,0 +1,148 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a run wrote down, read so that whatever is there can be shown."""
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+from carracing_dqn.evaluation.errors import RecordsError, ResultsError
+from carracing_dqn.evaluation.policies import RANDOM
+from carracing_dqn.evaluation.results import read_json, Results
+from carracing_dqn.evaluation.tables import read_table, Table
+import yaml
+
+EPISODE_COLUMNS = (
+    'episode', 'train_reward', 'validation_reward', 'epsilon', 'learning_rate', 'frames',
+    'loss', 'q_mean', 'wall_seconds')
+VALIDATION_COLUMNS = ('episode', 'wall_seconds', 'mean', 'std', 'completed')
+UPDATE_COLUMNS = (
+    'updates', 'loss', 'td_error', 'q_mean', 'learning_rate', 'epsilon', 'wall_seconds')
+# below a model folder, the record of its training
+RECORD_FOLDERS = ('', 'training', 'record')
+MODEL_FOLDERS = ('best', 'final', '')
+MAX_TEXT_BYTES = 4 * 2**20
+
+
+@dataclasses.dataclass
+class Run:
+    """
+    One run and all that is known of it.
+
+    Attributes:
+        name: short name for legends.
+        path: folder of its records.
+        episodes, validation, updates: its CSV files; empty when they are not there.
+        config: its hyperparameters, empty when unknown.
+        record: its `run.json`, empty when unknown.
+        evaluation: greedy laps of its model on test tracks.
+        dummy: laps of the dummy agent.
+        model: folder of the model to drive with, if there is one.
+        problems: a sentence for everything that was wrong or missing.
+    """
+
+    name: str
+    path: Path
+    episodes: Table = dataclasses.field(default_factory=Table)
+    validation: Table = dataclasses.field(default_factory=Table)
+    updates: Table = dataclasses.field(default_factory=Table)
+    config: dict[str, Any] = dataclasses.field(default_factory=dict)
+    record: dict[str, Any] = dataclasses.field(default_factory=dict)
+    evaluation: Results | None = None
+    dummy: Results | None = None
+    model: Path | None = None
+    problems: list[str] = dataclasses.field(default_factory=list)
+
+    @property
+    def wall_seconds(self) -> float | None:
+        """Return how long it has trained, by its record or its last rows; None when unknown."""
+        known = [float(table.known('wall_seconds')[0].max())
+                 for table in (self.episodes, self.updates) if table.has('wall_seconds')]
+        value = self.record.get('wall_seconds')
+        if isinstance(value, (int, float)) and not isinstance(value, bool):
+            # the record of a run that goes on is as old as its last checkpoint
+            known.append(float(value))
+        return max(known, default=None)
+
+
+def load_run(folder: Path | str) -> Run:
+    """
+    Read a run folder, or a model folder with the record of its training below.
+
+    Raises:
+        RecordsError: there is no such folder, or nothing in it to report.
+    """
+    folder = Path(folder).expanduser()
+    if not folder.is_dir():
+        raise RecordsError(f'{folder}: there is no such run folder')
+    path = next((folder / name for name in RECORD_FOLDERS
+                 if (folder / name / 'episodes.csv').is_file()), folder)
+    run = Run(folder.resolve().name, path)
+    for kind, columns in (
+        ('episodes', EPISODE_COLUMNS), ('validation', VALIDATION_COLUMNS),
+        ('updates', UPDATE_COLUMNS),
+    ):
+        table, problems = read_table(path / f'{kind}.csv', columns)
+        setattr(run, kind, table)
+        run.problems += problems
+    run.config = _mapping(path / 'config.yaml', run.problems)
+    run.record = _mapping(path / 'run.json', run.problems)
+    if run.record.get('complete') is False:
+        run.problems.append('The run is not complete: it is still going on, or was stopped.')
+    _read_evaluations(run, {folder, path})
+    run.model = next((folder / name for name in MODEL_FOLDERS
+                      if (folder / name / 'model.json').is_file()), None)
+    if not (run.episodes.rows or run.validation.rows or run.updates.rows or run.evaluation):
+        raise RecordsError(
+            f'{folder} holds nothing to report: '
+            + ' '.join(run.problems[:3]) + ' And no evaluation*.json either.')
+    return run
+
+
+def add_results(run: Run, path: Path | str) -> None:
+    """
+    Add laps of `carracing evaluate` to a run, as its evaluation or as the dummy agent's.
+
+    Raises:
+        ResultsError: the file is not there, is damaged, or is something else.
+    """
+    results = read_json(path)
+    if not results.laps:
+        run.problems.append(f'{Path(path).name} holds no laps yet.')
+        return
+    if len(results.laps) < results.wanted:
+        run.problems.append(
+            f'{Path(path).name} holds {len(results.laps)} of {results.wanted} laps.')
+    if results.policy.get('kind') == RANDOM:
+        run.dummy = results
+    else:
+        run.evaluation = results
+
+
+def _read_evaluations(run: Run, folders: set[Path]) -> None:
+    for folder in sorted(folders):
+        for path in sorted([*folder.glob('evaluation*.json'), *folder.glob('dummy*.json')]):
+            try:
+                add_results(run, path)
+            except ResultsError as error:
+                run.problems.append(f'{error}.')
+
+
+def _mapping(path: Path, problems: list[str]) -> dict[str, Any]:
+    """Return the mapping of a YAML or JSON file, empty when there is none."""
+    try:
+        if path.stat().st_size > MAX_TEXT_BYTES:
+            raise ValueError(f'longer than {MAX_TEXT_BYTES} bytes')
+        text = path.read_text(encoding='utf-8')
+        values = json.loads(text) if path.suffix == '.json' else yaml.safe_load(text)
+        if not isinstance(values, dict):
+            raise ValueError('not a mapping')
+    except FileNotFoundError:
+        problems.append(f'{path.name} is not there.')
+    except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
+        problems.append(f'{path.name} cannot be used: {str(error).splitlines()[0]}.')
+    else:
+        return values
+    return {}

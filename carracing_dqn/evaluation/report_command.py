@@ -1,0 +1,213 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""`carracing report`: the figures and tables of the seed document from a run's records."""
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+import contextlib
+import json
+from pathlib import Path
+from typing import Any
+
+from carracing_dqn.evaluation.comparison import compare, judge
+from carracing_dqn.evaluation.errors import EvaluationError
+from carracing_dqn.evaluation.figure_style import save_figure
+from carracing_dqn.evaluation.lap_series import drive_laps
+from carracing_dqn.evaluation.laps import Lap
+from carracing_dqn.evaluation.policies import MODEL, PolicySource, RANDOM
+from carracing_dqn.evaluation.records import add_results, load_run, Run
+from carracing_dqn.evaluation.report_page import lap_pictures, make_pictures, markdown, render
+from carracing_dqn.evaluation.results import describe_machine, read_json, Results, write_json
+from carracing_dqn.evaluation.simulators import make_simulator
+from carracing_dqn.evaluation.trajectory import drive_trajectory, Trajectory
+from carracing_dqn.evaluation.workers import limit_torch_threads
+from msgs_bridge.atomic_write import write_text
+from msgs_bridge.errors import BridgeError
+from rich.console import Console
+
+SEED = 'seed'
+DUMMY_LAPS = 100
+DUMMY_SEED = 100_000
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    parser.add_argument('run', metavar='RUN', help='run folder, or folder or name of a model with '
+                        'the record of its training')
+    parser.add_argument(
+        '--against', action='append', default=[], metavar='RUN|seed',
+        help='lay another run over it, any number of times; seed: only the seed document, which '
+        'is always there')
+    parser.add_argument('--output', type=Path, metavar='DIR',
+                        help='folder to write to (default: RUN/report)')
+    parser.add_argument(
+        '--evaluation', type=Path, metavar='FILE',
+        help='test laps of the model, written by carracing evaluate --json (default: '
+        'evaluation*.json in RUN)')
+    parser.add_argument(
+        '--dummy', type=Path, metavar='FILE',
+        help='laps of the dummy agent, written by carracing evaluate --policy random --json '
+        f'(default: dummy*.json in RUN, or {DUMMY_LAPS} laps driven now)')
+    parser.add_argument(
+        '--laps', type=int, default=3, metavar='N',
+        help='laps to show from above: the best, the worst and the median of the test, then '
+        'others; 0 for none (default: %(default)s)')
+
+
+def main(arguments: argparse.Namespace) -> int:
+    """
+    Write the report; return the exit code.
+
+    Raises:
+        BridgeError: a run or file that cannot be used; what is only incomplete is shown.
+    """
+    if arguments.laps < 0:
+        raise EvaluationError(f'--laps is {arguments.laps}; accepted: 0 or more')
+    console = Console()
+    runs = [load_run(_find(arguments.run))]
+    runs += [load_run(_find(other)) for other in arguments.against if other != SEED]
+    for path in (arguments.evaluation, arguments.dummy):
+        if path is not None:
+            add_results(runs[0], path)
+    for run in runs:
+        if run.evaluation is None:
+            run.problems.append(
+                'There are no test laps; carracing evaluate --model RUN --json '
+                'RUN/evaluation.json drives them.')
+    _distinct_names(runs)
+    output = arguments.output or _find(arguments.run) / 'report'
+    _make_folder(output / 'figures')
+    _need_dummy(runs, output, console)
+    laps = lap_pictures(list(_trajectories(runs[0], arguments.laps, console)))
+    pictures = make_pictures(runs)
+    try:
+        for picture in (*pictures, *laps):
+            if picture.figure is not None:
+                save_figure(picture.figure, output / 'figures', picture.name)
+        verdicts = [judge(run) for run in runs]
+        write_text(output / 'tables.md', markdown(runs, verdicts))
+        write_text(output / 'tables.json', json.dumps(_as_json(runs), indent=1) + '\n')
+        write_text(output / 'report.html', render(runs, pictures, laps))
+    except OSError as error:
+        raise EvaluationError(f'{output} cannot be written: {error.strerror}') from None
+    for run, judged in zip(runs, verdicts):
+        for problem in run.problems:
+            console.print(f'{run.name}: {problem}', highlight=False, soft_wrap=True)
+        for verdict in judged:
+            console.print(f'{run.name}: {verdict.word}: {verdict.objective.text} ({verdict.text})',
+                          highlight=False, soft_wrap=True, markup=False)
+    console.print(f'wrote {output / "report.html"}', highlight=False, soft_wrap=True)
+    return 0
+
+
+def _find(text: str) -> Path:
+    """Return a run folder, or the folder of a shipped model of that name."""
+    if not Path(text).expanduser().is_dir():
+        from dqn_policy_node import share_path
+        with contextlib.suppress(FileNotFoundError):
+            return share_path(Path('models') / text)
+    return Path(text).expanduser()
+
+
+def _need_dummy(runs: list[Run], output: Path, console: Console) -> None:
+    """Give every run the laps of the dummy agent; drive them if nobody has."""
+    dummy = next((run.dummy for run in runs if run.dummy is not None), None)
+    if dummy is None and (output / 'dummy.json').is_file():
+        dummy = read_json(output / 'dummy.json')
+    if dummy is None:
+        console.print(f'no laps of the dummy agent: driving {DUMMY_LAPS} now, which takes some '
+                      'seconds', highlight=False, soft_wrap=True)
+        source = PolicySource(RANDOM)
+        dummy = Results(source.identity(), 'fast', wanted=DUMMY_LAPS, machine=describe_machine())
+        seeds = range(DUMMY_SEED, DUMMY_SEED + DUMMY_LAPS)
+        dummy.laps = {lap.seed: lap for lap in drive_laps(source, seeds, simulator='fast')}
+        dummy.seconds = sum(lap.seconds for lap in dummy.laps.values())
+        try:
+            write_json(output / 'dummy.json', dummy)
+        except OSError as error:
+            raise EvaluationError(f'{output} cannot be written: {error.strerror}') from None
+    for run in runs:
+        run.dummy = run.dummy or dummy
+
+
+def _trajectories(
+    run: Run, count: int, console: Console,
+) -> Iterator[tuple[str, Trajectory]]:
+    """Drive laps of a run's model once more; yield heading and lap; a bad model is a problem."""
+    if not count or run.model is None:
+        return
+    try:
+        policy = PolicySource(MODEL, str(run.model)).open()
+        limit_torch_threads()
+        for heading, seed in _interesting_laps(run, count):
+            console.print(f'driving track {seed} to draw it', highlight=False)
+            env = make_simulator('fast')
+            try:
+                trajectory = drive_trajectory(env, policy, seed)
+            finally:
+                env.close()
+            _compare_with_record(run, trajectory.lap)
+            yield heading, trajectory
+    except BridgeError as error:
+        run.problems.append(f'No laps are shown: {error}.')
+
+
+def _compare_with_record(run: Run, lap: Lap) -> None:
+    """Note when a lap is not what the evaluation has of the same track."""
+    known = run.evaluation.laps.get(lap.seed) if run.evaluation is not None else None
+    if known is not None and known != lap:
+        run.problems.append(
+            f'Track {lap.seed} was {known.episode_return:.1f} points in the evaluation and is '
+            f'{lap.episode_return:.1f} now: the model or the settings are not those of the '
+            'evaluation.')
+
+
+def _interesting_laps(run: Run, count: int) -> list[tuple[str, int]]:
+    """Return heading and seed of the best, the median and the worst test lap, then others."""
+    if run.evaluation is None:
+        return [(f'Test track {seed}', seed) for seed in range(DUMMY_SEED, DUMMY_SEED + count)]
+    laps = sorted(run.evaluation.ordered, key=lambda lap: -lap.episode_return)
+    headings = {0: 'The best test lap'}
+    headings.setdefault(len(laps) - 1, 'The worst test lap')
+    headings.setdefault(len(laps) // 2, 'The median test lap')
+    for place in range(len(laps)):
+        headings.setdefault(place, f'Test lap {place + 1} of {len(laps)} by return')
+    chosen = list(headings.items())[:count]
+    return [(heading, laps[place].seed) for place, heading in sorted(chosen)]
+
+
+def _distinct_names(runs: list[Run]) -> None:
+    """Give runs of the same name a number each."""
+    names = [run.name for run in runs]
+    for run in runs:
+        if names.count(run.name) > 1:
+            run.name = f'{run.name} ({run.path.resolve().parent.name})'
+    if len({run.name for run in runs}) < len(runs):
+        for number, run in enumerate(runs, 1):
+            run.name = f'{run.name} {number}'
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise EvaluationError(f'{folder} cannot be made: {error.strerror}') from None
+
+
+def _as_json(runs: list[Run]) -> dict[str, Any]:
+    """Return the tables as JSON values."""
+    return {
+        run.name: {
+            'objectives': {
+                verdict.objective.key: {'passed': verdict.passed, 'text': verdict.text}
+                for verdict in judge(run)},
+            'figures': {
+                figure.key: {
+                    'section': figure.section, 'label': figure.label, 'stated': figure.stated,
+                    'stated_value': figure.value, 'text': measured.text,
+                    'value': measured.value}
+                for figure, measured in compare(run)},
+            'statistics': run.evaluation.statistics.to_json() if run.evaluation else None,
+            'problems': run.problems,
+        } for run in runs}

@@ -1,0 +1,91 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The same laps over the ROS graph: simulator and policy as processes, in lockstep.
+
+What starts the nodes is handed in, because this package knows none of the others that do. Frames
+and actions are the same to the byte as in process, and so are the laps.
+"""
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+import time
+
+from carracing_dqn.evaluation.errors import EvaluationError
+from carracing_dqn.evaluation.laps import Lap, RETURN_DIGITS
+from carracing_dqn.evaluation.policies import MODEL, PolicySource, RANDOM
+
+RunGraph = Callable[[str, range, 'Path | None'], Iterator[Mapping[str, float]]]
+"""
+Drives a model (folder, or 'random' with the seed of its track) over topics.
+
+Takes the model, consecutive seeds of tracks and a folder for a bag or None; yields the summary of
+every episode, `step_fields.EPISODE_FIELDS`, as it ends.
+"""
+
+
+def drive_laps_through_graph(
+    source: PolicySource, seeds: Sequence[int], run_graph: RunGraph, *, bag: Path | None = None,
+) -> Iterator[Lap]:
+    """
+    Drive one lap a seed over topics and yield each as it ends, in order.
+
+    Args:
+        source: a model, or the dummy agent.
+        seeds: seeds of the tracks, rising.
+        run_graph: starts the nodes.
+        bag: folder of a new bag of everything, or None.
+
+    Raises:
+        EvaluationError: a policy that no node can drive, a bag of more than one run of the
+            graph, or an episode that is missing or another than asked for.
+        BridgeError: what `run_graph` raises.
+    """
+    if source.kind not in (MODEL, RANDOM):
+        raise EvaluationError(
+            f'policy {source.kind!r} is no node; --through-graph drives models and random')
+    # the dummy agent starts its draws anew with every lap, which a node does when it starts
+    stretches = [range(seed, seed + 1) for seed in seeds] if source.kind == RANDOM \
+        else consecutive(seeds)
+    if bag is not None and len(stretches) > 1:
+        raise EvaluationError(
+            f'--bag holds one run of the graph, but these laps need {len(stretches)}; evaluate '
+            'one lap of random at a time, and models without laps that are there already')
+    model = RANDOM if source.kind == RANDOM else source.model
+    for stretch in stretches:
+        expected = iter(stretch)
+        before = time.perf_counter()
+        for summary in run_graph(model, stretch, bag):
+            seed = next(expected, None)
+            if summary['seed'] != seed:
+                raise EvaluationError(
+                    f'the graph drove track {summary["seed"]:.0f}; expected {seed}')
+            now = time.perf_counter()
+            yield lap_of(summary, now - before)
+            before = now
+        missing = next(expected, None)
+        if missing is not None:
+            raise EvaluationError(f'the graph ended before it had driven track {missing}')
+
+
+def consecutive(seeds: Sequence[int]) -> list[range]:
+    """Return rising seeds as stretches without gaps."""
+    stretches: list[range] = []
+    for seed in seeds:
+        if stretches and stretches[-1].stop == seed:
+            stretches[-1] = range(stretches[-1].start, seed + 1)
+        else:
+            stretches.append(range(seed, seed + 1))
+    return stretches
+
+
+def lap_of(summary: Mapping[str, float], seconds: float) -> Lap:
+    """Return the lap of an episode summary."""
+    return Lap(
+        seed=int(summary['seed']),
+        episode_return=round(float(summary['episode_return']), RETURN_DIGITS),
+        frames=int(summary['frames']), tiles_visited=int(summary['tiles_visited']),
+        tiles_total=int(summary['tiles_total']), lap_finished=bool(summary['lap_finished']),
+        left_field=bool(summary['left_field']), standing_still=int(summary['standing_still']),
+        seconds=seconds)
