@@ -25,7 +25,7 @@ def draw_recorded_laps(bag: Path, folder: Path) -> list[Path]:
     pictures: list[Path] = []
     actions: list[tuple[float, float, float]] = []
     for transition in bag_transitions([bag]):
-        facts = transition.facts
+        facts = transition.info
         if transition.previous_info['decision'] == 0:
             actions = []
         # what was applied, held for as many frames as the simulator drove
