@@ -6,6 +6,8 @@ from pathlib import Path
 from setuptools import setup
 
 NAME = 'carracing_dqn'
+# colcon --symlink-install runs a link to this file from its build folder
+README = Path(__file__).resolve().with_name('README.md')
 PACKAGES = [
     'msgs_bridge', 'msgs_bridge.transport', 'carracing_sim_node', 'dqn_policy_node',
     'trainer_node', 'bags', 'carracing_dqn',
@@ -26,7 +28,7 @@ setup(
     name=NAME,
     version='0.1.0',
     description='A ROS 2 stack that learns to race',
-    long_description=Path('README.md').read_text(encoding='utf-8'),
+    long_description=README.read_text(encoding='utf-8'),
     long_description_content_type='text/markdown',
     license='Apache-2.0',
     maintainer='The carracing_dqn authors',
@@ -64,15 +66,14 @@ setup(
         'tensorboard': ['tensorboard'],
         'bench': ['envpool', 'mcap-ros2-support', 'psutil', 'stable-baselines3'],
     },
-    tests_require=['pytest'],
     zip_safe=True,
     entry_points={
         'console_scripts': [
-            'carracing = bringup.command:main',
+            'carracing = carracing_dqn.bringup.command:main',
             'carracing_sim_node = carracing_sim_node.node:main',
             'dqn_policy_node = dqn_policy_node.node:main',
             'trainer_node = trainer_node.node:main',
-            'validation_node = evaluation.node:main',
+            'validation_node = carracing_dqn.evaluation.node:main',
             'bag_recorder_node = bags.recorder_node:main',
             'bag_player_node = bags.player_node:main',
         ],

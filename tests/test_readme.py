@@ -5,7 +5,7 @@ from pathlib import Path
 import re
 
 from carracing_dqn.bringup.command import SUBCOMMANDS
-from carracing_dqn.bringup.environment import EXECUTABLES
+from carracing_dqn.bringup.environment import executables
 from carracing_dqn.bringup.reference_tables import SETTINGS, with_tables
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -20,7 +20,7 @@ def test_the_tables_are_those_of_the_code():
 
 
 def test_every_command_and_node_is_named():
-    for name in (*SUBCOMMANDS, *EXECUTABLES):
+    for name in (*SUBCOMMANDS, *executables()):
         assert name in README, name
 
 

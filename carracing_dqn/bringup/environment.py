@@ -9,6 +9,7 @@ the ament index marker, `share/carracing_dqn`, executables in `lib/carracing_dqn
 """
 from __future__ import annotations
 
+from importlib import metadata
 import os
 from pathlib import Path
 import sys
@@ -17,21 +18,23 @@ from msgs_bridge.atomic_write import write_text
 
 PACKAGE = 'carracing_dqn'
 SHARED = ('package.xml', 'config', 'models')
-EXECUTABLES = (
-    'carracing_sim_node', 'dqn_policy_node', 'trainer_node', 'validation_node',
-    'bag_recorder_node', 'bag_player_node',
-)
 SETUP_BASH = """\
 # source this file: it puts carracing_dqn and its nodes where ROS tools look for them
-prefix="$(cd "$(dirname "${{BASH_SOURCE[0]:-$0}}")" && pwd)"
+prefix="$(cd "$(dirname "${BASH_SOURCE[0]:-$0}")" && pwd)"
 . "$prefix/bin/activate"
-export AMENT_PREFIX_PATH="$prefix${{AMENT_PREFIX_PATH:+:$AMENT_PREFIX_PATH}}"
-export ROS_VERSION="${{ROS_VERSION:-2}}" ROS_PYTHON_VERSION="${{ROS_PYTHON_VERSION:-3}}"
-export ROS_DISTRO="${{ROS_DISTRO:-jazzy}}"
+export AMENT_PREFIX_PATH="$prefix${AMENT_PREFIX_PATH:+:$AMENT_PREFIX_PATH}"
+export ROS_VERSION="${ROS_VERSION:-2}" ROS_PYTHON_VERSION="${ROS_PYTHON_VERSION:-3}"
+export ROS_DISTRO="${ROS_DISTRO:-jazzy}"
 # nobody outside this host can drive the car; SUBNET opens it
-export ROS_AUTOMATIC_DISCOVERY_RANGE="${{ROS_AUTOMATIC_DISCOVERY_RANGE:-LOCALHOST}}"
+export ROS_AUTOMATIC_DISCOVERY_RANGE="${ROS_AUTOMATIC_DISCOVERY_RANGE:-LOCALHOST}"
 unset prefix
 """
+
+
+def executables() -> list[str]:
+    """Return what an install of the package puts on the path, as its metadata has it."""
+    entry_points = metadata.distribution(PACKAGE).entry_points
+    return sorted(point.name for point in entry_points if point.group == 'console_scripts')
 
 
 def link(path: Path, target: Path) -> None:
@@ -59,10 +62,10 @@ def lay_out(prefix: Path, source: Path) -> None:
     # one by one: `ros2 launch` does not look into folders that are links
     for path in sorted((source / 'launch').glob('*.launch.py')):
         link(prefix / 'share' / PACKAGE / 'launch' / path.name, path)
-    for name in EXECUTABLES:
+    for name in executables():
         link(prefix / 'lib' / PACKAGE / name, prefix / 'bin' / name)
-    write_text(prefix / 'setup.bash', SETUP_BASH.format())
+    write_text(prefix / 'setup.bash', SETUP_BASH)
 
 
 if __name__ == '__main__':
-    lay_out(Path(sys.prefix), Path(__file__).resolve().parents[1])
+    lay_out(Path(sys.prefix), Path(__file__).resolve().parents[2])
