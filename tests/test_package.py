@@ -13,6 +13,7 @@ from carracing_dqn.bringup.environment import executables, lay_out
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
+BIN = Path(sys.executable).parent
 
 
 def test_package_xml_is_format_3_for_ament_python_and_names_what_the_code_imports():
@@ -57,16 +58,22 @@ def test_the_setup_file_keeps_discovery_on_this_host_unless_told_otherwise(tmp_p
         f'{tmp_path}:/opt/ros', 'SUBNET']
 
 
-@pytest.mark.skipif(shutil.which('colcon') is None, reason='colcon is not installed')
-def test_colcon_builds_it_as_an_ament_python_package(tmp_path):
+@pytest.mark.skipif(not shutil.which('colcon', path=BIN), reason='colcon is not installed')
+@pytest.mark.parametrize('options', [(), ('--symlink-install',)], ids=['copied', 'linked'])
+def test_colcon_builds_it_as_an_ament_python_package(tmp_path, options):
     (tmp_path / 'src').mkdir()
     shutil.copytree(ROOT, tmp_path / 'src' / 'carracing_dqn', ignore=shutil.ignore_patterns(
-        '.venv', '.git', 'runs', 'build', 'install', 'log', '*.egg-info'))
-    environment = {**os.environ, 'AMENT_PREFIX_PATH': sys.prefix}
-    options = {'cwd': tmp_path, 'env': environment, 'capture_output': True, 'text': True}
-    listed = subprocess.run(['colcon', 'list'], check=True, **options).stdout
-    assert 'ros.ament_python' in listed
-    subprocess.run(['colcon', 'build'], check=True, **options)
+        '.*', 'runs', 'build', 'install', 'log', '*.egg-info', 'tests', 'docs'))
+
+    def colcon(*words):
+        return subprocess.run(
+            [f'{BIN}/colcon', *words], cwd=tmp_path, capture_output=True, text=True, check=True,
+            env={**os.environ, 'AMENT_PREFIX_PATH': sys.prefix}).stdout
+
+    assert 'ros.ament_python' in colcon('list')
+    colcon('build', *options)
+    assert (tmp_path / 'log/latest_build/carracing_dqn/stderr.log').read_text() == ''
     built = tmp_path / 'install' / 'carracing_dqn'
-    assert {path.name for path in (built / 'lib' / 'carracing_dqn').iterdir()} >= set(executables())
+    assert {path.name for path in (built / 'lib' / 'carracing_dqn').iterdir()} == set(
+        executables())
     assert (built / 'share' / 'carracing_dqn' / 'launch' / 'race.launch.py').is_file()
