@@ -65,6 +65,8 @@ def lay_out(prefix: Path, source: Path) -> None:
     for name in executables():
         link(prefix / 'lib' / PACKAGE / name, prefix / 'bin' / name)
     write_text(prefix / 'setup.bash', SETUP_BASH)
+    # by this name a colcon workspace on top of the environment looks for it
+    link(prefix / 'local_setup.bash', prefix / 'setup.bash')
 
 
 if __name__ == '__main__':
