@@ -6,12 +6,9 @@ from __future__ import annotations
 import dataclasses
 
 from bags.contract import find_topic
-from bags.decode import BundleDecoder
 from bags.reader import BagReader
+from bags.steps import StepDecoder
 from msgs_bridge.topics import STEP
-
-NEEDED = ('reward', 'terminated', 'truncated', 'lap_finished', 'episode', 'decision', 'step',
-          'episode_return')
 
 
 @dataclasses.dataclass
@@ -21,7 +18,7 @@ class Episode:
 
     Attributes:
         number: of the episode in its run.
-        seed: of its track; -1 if it came from a stream, None if the bag does not say.
+        seed: of its track; -1 if it came from a stream or is none.
         start_time, end_time: log times of its first and last message, ns.
         decisions, frames: published frames after the reset frame, and simulator frames.
         episode_return: sum of rewards up to the last message.
@@ -30,7 +27,7 @@ class Episode:
     """
 
     number: int
-    seed: int | None
+    seed: int
     start_time: int
     end_time: int = 0
     decisions: int = 0
@@ -53,25 +50,23 @@ def find_episodes(reader: BagReader, *, namespace: str = '') -> list[Episode]:
     name = find_topic(reader, STEP, namespace=namespace)
     if name is None:
         return []
-    decoder = BundleDecoder()
+    decoder = StepDecoder()
     episodes: list[Episode] = []
     present: Episode | None = None
     from_start = False
     for message in reader.messages([name]):
-        facts = decoder.decode(message.data, name).values_with(NEEDED)
-        number = int(facts['episode'])
-        if present is None or number != present.number or (
-                facts['decision'] == 0 and present.decisions > 0):
-            seed = int(facts['seed']) if 'seed' in facts else None
-            present = Episode(number, seed, message.log_time)
-            from_start = facts['decision'] == 0
+        _, step = decoder.decode(message.data, name)
+        if present is None or step.episode != present.number or (
+                step.decision == 0 and present.decisions > 0):
+            present = Episode(step.episode, step.seed, message.log_time)
+            from_start = step.decision == 0
             episodes.append(present)
         present.end_time = message.log_time
-        present.decisions = int(facts['decision'])
-        present.frames = int(facts['step'])
-        present.episode_return = facts['episode_return']
-        present.lap_finished = facts['lap_finished'] > 0
-        present.terminated = facts['terminated'] > 0
-        present.truncated = facts['truncated'] > 0
-        present.whole = from_start and (present.terminated or present.truncated)
+        present.decisions = step.decision
+        present.frames = int(step.info.get('step', step.decision))
+        present.episode_return = step.episode_return
+        present.lap_finished = step.info.get('lap_finished', 0) > 0
+        present.terminated = step.terminated
+        present.truncated = step.truncated
+        present.whole = from_start and step.ended
     return episodes

@@ -16,7 +16,6 @@ from bags.painter import FramePainter
 from bags.reader import BagReader
 from msgs_bridge.atomic_write import atomic_file
 from msgs_bridge.stamps import NANOSECONDS
-from msgs_bridge.step_fields import STEP_FIELDS
 
 # simulator frames a second of simulation time
 FRAME_RATE = 50
@@ -48,7 +47,7 @@ def export_csv(
     frames = _chosen(reader, namespace, episode)
     # the first decision tells the names of the actions
     ahead = list(itertools.islice(frames, 2))
-    names = list(dict.fromkeys([*STEP_FIELDS, *(key for frame in ahead for key in frame.facts)]))
+    names = list(dict.fromkeys(key for frame in ahead for key in frame.step.values()))
     actions = list(dict.fromkeys(key for frame in ahead for key in frame.q_values))
     rows = 0
     with atomic_file(path) as file:
@@ -56,9 +55,10 @@ def export_csv(
         table = csv.writer(text, lineterminator='\n')
         table.writerow(['stamp', *names, *(f'q_{name}' for name in actions)])
         for frame in itertools.chain(ahead, frames):
+            values = frame.step.values()
             table.writerow([
                 f'{frame.stamp / NANOSECONDS:.9f}',
-                *(_number(frame.facts.get(name)) for name in names),
+                *(_number(values.get(name)) for name in names),
                 *(_number(frame.q_values.get(name)) for name in actions)])
             rows += 1
         text.detach()
@@ -111,7 +111,7 @@ def export_video(
             q_values = frame.q_values or q_values
             picture = av.VideoFrame.from_ndarray(painter.paint(frame, q_values), format='rgb24')
             if pictures:
-                time += int(frame.facts['frames']) or PAUSE
+                time += int(frame.step.info.get('frames', 1)) or PAUSE
             picture.pts, picture.time_base = time, base
             container.mux(stream.encode(picture))
             pictures += 1
@@ -124,7 +124,7 @@ def _chosen(
 ) -> Iterator[RecordedFrame]:
     """Yield the frames of one episode or of all, at least one."""
     frames = (frame for frame in recorded_frames(reader, namespace=namespace)
-              if episode is None or frame.facts['episode'] == episode)
+              if episode is None or frame.step.episode == episode)
     first = next(frames, None)
     if first is None:
         what = 'frames' if episode is None else f'episode {episode}'

@@ -12,11 +12,10 @@ import numpy as np
 from bags.contract import find_topic, need_topic
 from bags.decode import Bundle, BundleDecoder, ImageDecoder
 from bags.reader import BagReader
+from bags.steps import StepDecoder
 from msgs_bridge.errors import MessageError
+from msgs_bridge.step import Step
 from msgs_bridge.topics import IMAGE, Q_VALUES, STEP
-
-NEEDED = ('reward', 'terminated', 'truncated', 'lap_finished', 'episode', 'decision', 'step',
-          'episode_return', 'steer', 'gas', 'brake', 'frames')
 
 
 @dataclasses.dataclass(frozen=True)
@@ -27,14 +26,14 @@ class RecordedFrame:
     Attributes:
         number: of the `step` message in its topic, from 0.
         stamp: simulation time in ns.
-        facts: `step_fields.STEP_FIELDS` by name.
+        step: what the frame earned and what is known of it.
         pixels: uint8 (H, W, 3), or None if its image is not in the bag.
         q_values: name -> value of the decision that this frame led to; empty if not recorded.
     """
 
     number: int
     stamp: int
-    facts: dict[str, float]
+    step: Step
     pixels: np.ndarray | None
     q_values: dict[str, float]
 
@@ -50,18 +49,17 @@ def recorded_frames(reader: BagReader, *, namespace: str = '') -> Iterator[Recor
     steps = need_topic(reader, STEP, namespace=namespace)
     images = _images(reader, need_topic(reader, IMAGE, namespace=namespace))
     q_values = _q_values(reader, find_topic(reader, Q_VALUES, namespace=namespace))
-    decoder = BundleDecoder()
+    decoder = StepDecoder()
     newest = -1
     for number, message in enumerate(reader.messages([steps])):
-        bundle = decoder.decode(message.data, steps)
-        facts = bundle.values_with(NEEDED)
-        if bundle.stamp == newest:
+        stamp, step = decoder.decode(message.data, steps)
+        if stamp == newest:
             continue
-        if bundle.stamp < newest:
+        if stamp < newest:
             raise MessageError(f'{steps}: message {number} goes back in time')
-        newest = bundle.stamp
+        newest = stamp
         yield RecordedFrame(
-            number, newest, facts, images.at(newest), q_values.at(newest) or {})
+            number, newest, step, images.at(newest), q_values.at(newest) or {})
 
 
 class _Stream:

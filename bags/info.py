@@ -114,7 +114,7 @@ def _episodes(info: dict[str, Any]) -> Group | Table | Text:
         table.add_column(column, justify='right')
     table.add_column('end')
     for episode in episodes[:MANY_EPISODES]:
-        seed = '' if episode.seed is None or episode.seed < 0 else str(episode.seed)
+        seed = '' if episode.seed < 0 else str(episode.seed)
         table.add_row(
             str(episode.number), seed, str(episode.decisions), str(episode.frames),
             f'{episode.episode_return:.1f}', _end(episode))

@@ -7,7 +7,7 @@ from PIL import Image, ImageDraw, ImageFont
 import numpy as np
 
 from bags.frames import RecordedFrame
-from msgs_bridge.step_fields import Q_VALUE_EXTRAS
+from msgs_bridge.step import Q_VALUE_EXTRAS, Step
 
 PANEL_WIDTH = 320
 MARGIN = 14
@@ -48,36 +48,41 @@ class FramePainter:
             canvas.paste(picture.resize((self._picture, self._picture), Image.Resampling.NEAREST))
         draw = ImageDraw.Draw(canvas)
         left = self._picture + MARGIN
-        top = self._numbers(draw, frame.facts, left)
-        top = self._controls(draw, frame.facts, left, top)
+        top = self._numbers(draw, frame.step, left)
+        top = self._controls(draw, frame.step.info, left, top)
         self._q_values(draw, q_values, left, top)
         return np.asarray(canvas)
 
-    def _numbers(self, draw: ImageDraw.ImageDraw, facts: dict[str, float], left: int) -> int:
-        rows = (
-            ('episode', f'{facts["episode"]:.0f}'),
-            ('frame', f'{facts["step"]:.0f}'),
-            ('return', f'{facts["episode_return"]:.1f}'),
-            ('reward', f'{facts["reward"]:+.2f}'),
-            ('speed', f'{facts.get("speed", 0):.1f}'),
-            ('tiles', f'{facts.get("tiles_visited", 0):.0f} / {facts.get("tiles_total", 0):.0f}'))
+    def _numbers(self, draw: ImageDraw.ImageDraw, step: Step, left: int) -> int:
+        info = step.info
+        rows = [
+            ('episode', f'{step.episode}'),
+            ('frame', f'{info.get("step", step.decision):.0f}'),
+            ('return', f'{step.episode_return:.1f}'),
+            ('reward', f'{step.reward:+.2f}')]
+        if 'speed' in info:
+            rows.append(('speed', f'{info["speed"]:.1f}'))
+        if 'tiles_total' in info:
+            rows.append(
+                ('tiles', f'{info.get("tiles_visited", 0):.0f} / {info["tiles_total"]:.0f}'))
         top = MARGIN
         for name, value in rows:
             draw.text((left, top), name, DIM, self._font)
             colour = TEXT
             if name == 'reward':
-                colour = GREEN if facts['reward'] > 0 else RED
+                colour = GREEN if step.reward > 0 else RED
             draw.text((left + 100, top), value, colour, self._font)
             top += LINE
         return top + LINE // 2
 
     def _controls(
-        self, draw: ImageDraw.ImageDraw, facts: dict[str, float], left: int, top: int,
+        self, draw: ImageDraw.ImageDraw, info: dict[str, float], left: int, top: int,
     ) -> int:
+        linear, angular = info.get('linear', 0.0), info.get('angular', 0.0)
         width = PANEL_WIDTH - 100 - 2 * MARGIN
         for name, value, colour in (
-            ('steer', facts['steer'], BLUE), ('gas', facts['gas'], GREEN),
-            ('brake', facts['brake'], RED),
+            ('steer', -angular, BLUE), ('gas', max(linear, 0.0), GREEN),
+            ('brake', max(-linear, 0.0), RED),
         ):
             draw.text((left, top), name, DIM, self._font)
             origin = left + 100 + (width // 2 if name == 'steer' else 0)

@@ -20,8 +20,12 @@ from bags.contract import find_topic
 from bags.decode import BundleDecoder
 from bags.frames import recorded_frames, RecordedFrame
 from bags.reader import BagReader
+from bags.steps import StepDecoder
+from carracing_sim_node.controls import controls
+from msgs_bridge.errors import MessageError
 from msgs_bridge.stamps import NANOSECONDS
 from msgs_bridge.topics import EPISODE, STEP
+from msgs_bridge.twists import Command
 
 # of carracing_sim_node, when the bag's provenance does not say
 DEFAULT_SEED = 42
@@ -69,7 +73,7 @@ class Resimulator:
         self._reader = reader
         self._namespace = namespace
         self._simulator = _simulator_settings(reader)
-        self._seeds = _episode_seeds(reader, namespace)
+        self._constants = _constants(reader, namespace)
         self._frame_limit = int(
             self._simulator.get('max_episode_frames') or _frame_limit(reader, namespace))
         self._variant: dict[str, Any] | None = None
@@ -89,8 +93,8 @@ class Resimulator:
             MessageError: a message that cannot be used.
         """
         for frame in recorded_frames(self._reader, namespace=self._namespace):
-            number = int(frame.facts['episode'])
-            if frame.facts['decision'] == 0:
+            number = frame.step.episode
+            if frame.step.decision == 0:
                 self._begin(frame, number)
             elif number == self._driving:
                 self._advance(frame)
@@ -104,9 +108,9 @@ class Resimulator:
         self._driving = None
 
     def _begin(self, frame: RecordedFrame, number: int) -> None:
-        facts = frame.facts
-        self._prepare(facts)
-        seed = int(facts.get('seed', self._seeds.get(number, -1)))
+        # those of version 0.1 stand in every step
+        self._prepare({**frame.step.info, **self._constants.get(number, {})})
+        seed = frame.step.seed
         if seed >= 0:
             pixels, _ = self._env.reset(seed=seed)
             self._stream_at = number
@@ -118,13 +122,13 @@ class Resimulator:
         self.result.episodes += 1
         self._compare(frame, pixels, 0.0, False, False, False)
 
-    def _prepare(self, facts: dict[str, float]) -> None:
-        """Make the environment of the variant that a frame names."""
+    def _prepare(self, constants: dict[str, float]) -> None:
+        """Make the environment of the variant that the constants of an episode name."""
         variant = {
-            'zoom': facts.get('zoom', 1) > 0,
-            'domain_randomize': facts.get('domain_randomize', 0) > 0,
-            'early_end_frames': int(facts.get('early_end_frames', 0)),
-            'early_end_lap': facts.get('early_end_lap', 0) > 0}
+            'zoom': constants.get('zoom', 1) > 0,
+            'domain_randomize': constants.get('domain_randomize', 0) > 0,
+            'early_end_frames': int(constants.get('early_end_frames', 0)),
+            'early_end_lap': constants.get('early_end_lap', 0) > 0}
         if variant == self._variant:
             return
         # the simulator is needed for nothing else in this package
@@ -145,36 +149,38 @@ class Resimulator:
         return pixels
 
     def _advance(self, frame: RecordedFrame) -> None:
-        facts = frame.facts
-        action = (facts['steer'], facts['gas'], facts['brake'])
-        frames = int(facts['frames'])
-        reward, terminated, truncated, info = 0.0, False, False, {}
+        try:
+            info = frame.step.info
+            action = controls(Command(*(info[name] for name in Command._fields)))
+            frames = int(info['frames'])
+        except KeyError as error:
+            raise MessageError(f'step lacks {error.args[0]!r}') from None
+        reward, terminated, truncated, outcome = 0.0, False, False, {}
         pixels = None
         for count in range(frames):
             if terminated or truncated:
                 self._part(frame, f'the recording goes on where the simulator ends (after '
                                   f'{count} of {frames} frames)')
                 self._driving = None
-                self._not_driven.add(int(facts['episode']))
+                self._not_driven.add(frame.step.episode)
                 self.result.differing_frames += 1
                 return
-            pixels, earned, terminated, truncated, info = self._env.step(
+            pixels, earned, terminated, truncated, outcome = self._env.step(
                 action, draw=count == frames - 1)
             reward = earned if count == 0 else reward + earned
         self._return += reward
-        left_field = terminated and not info.get('lap_finished', False)
+        left_field = terminated and not outcome.get('lap_finished', False)
         self._compare(frame, pixels, reward, terminated, truncated, left_field)
-        if (terminated or truncated) and frame.facts['terminated'] == frame.facts[
-                'truncated'] == 0:
+        if (terminated or truncated) and not frame.step.ended:
             # whatever follows has nothing to be compared with
             self._driving = None
-            self._not_driven.add(int(facts['episode']))
+            self._not_driven.add(frame.step.episode)
 
     def _compare(
         self, frame: RecordedFrame, pixels: np.ndarray | None, reward: float, terminated: bool,
         truncated: bool, left_field: bool,
     ) -> None:
-        result, facts, known = self.result, frame.facts, self._env.facts()
+        result, step, known = self.result, frame.step, self._env.facts()
         result.frames += 1
         differences = []
         if frame.pixels is None:
@@ -182,24 +188,28 @@ class Resimulator:
         elif pixels is None or not np.array_equal(frame.pixels, pixels):
             result.differing_images += 1
             differences.append('image')
-        if facts['reward'] != reward:
+        if step.reward != reward:
             result.differing_rewards += 1
-            differences.append(f'reward {facts["reward"]!r} instead of {reward!r}')
+            differences.append(f'reward {step.reward!r} instead of {reward!r}')
         flags = {
-            'terminated': terminated, 'truncated': truncated, 'left_field': left_field,
+            'left_field': left_field,
             'lap_finished': known.lap_finished and not left_field,
             'ended_early': known.ended_early, 'came_round': known.came_round}
-        wrong = [name for name, value in flags.items() if name in facts and facts[name] != value]
+        wrong = [name for name, value in flags.items()
+                 if name in step.info and step.info[name] != value]
+        wrong += ['terminated'] * (step.terminated != terminated)
+        wrong += ['truncated'] * (step.truncated != truncated)
+        wrong += ['episode_return'] * (step.episode_return != self._return)
         result.differing_flags += bool(wrong)
         differences += wrong
         expected = {
-            'step': known.frames, 'episode_return': self._return,
+            'step': known.frames,
             'tiles_visited': known.tiles_visited, 'tiles_total': known.tiles_total,
             'tiles_missed': known.tiles_missed, 'lap_position': known.lap_position,
             'wheels_off_road': known.wheels_off_road, 'speed': known.speed,
             'standing_still': known.standing_still}
         wrong = [name for name, value in expected.items()
-                 if name in facts and facts[name] != value]
+                 if name in step.info and step.info[name] != value]
         result.differing_facts += bool(wrong)
         differences += wrong
         if differences:
@@ -212,36 +222,35 @@ class Resimulator:
             return
         self._parted = True
         if len(self.result.partings) < MAX_NAMED:
-            facts = frame.facts
+            step = frame.step
             self.result.partings.append(
-                f'episode {int(facts["episode"])}, decision {int(facts["decision"])}, step '
+                f'episode {step.episode}, decision {step.decision}, step '
                 f'message {frame.number}, simulation time {frame.stamp / NANOSECONDS:.2f} s: '
                 f'{what}')
 
 
-def _episode_seeds(reader: BagReader, namespace: str) -> dict[int, int]:
-    """Return episode -> seed as the summaries at the ends say, for bags whose steps do not."""
+def _constants(reader: BagReader, namespace: str) -> dict[int, dict[str, float]]:
+    """Return episode -> what its `episode` messages say is constant for the run, and more."""
     name = find_topic(reader, EPISODE, namespace=namespace)
     if name is None:
         return {}
     decoder = BundleDecoder()
-    seeds = {}
+    constants = {}
     for message in reader.messages([name]):
         values = decoder.decode(message.data, name).values_with(('episode',))
-        if 'seed' in values:
-            seeds[int(values['episode'])] = int(values['seed'])
-    return seeds
+        constants[int(values['episode'])] = values
+    return constants
 
 
 def _frame_limit(reader: BagReader, namespace: str) -> int:
     """Return after how many frames episodes were cut off, as most of those cut off show it."""
     name = find_topic(reader, STEP, namespace=namespace)
-    decoder = BundleDecoder()
+    decoder = StepDecoder()
     limits: Counter[int] = Counter()
     for message in reader.messages([name]) if name else ():
-        facts = decoder.decode(message.data, name).values_with(('truncated', 'step'))
-        if facts['truncated'] and not facts.get('ended_early', 0):
-            limits[int(facts['step'])] += 1
+        _, step = decoder.decode(message.data, name)
+        if step.truncated and not step.info.get('ended_early', 0):
+            limits[int(step.info.get('step', step.decision))] += 1
     return limits.most_common(1)[0][0] if limits else DEFAULT_MAX_FRAMES
 
 

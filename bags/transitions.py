@@ -8,17 +8,15 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from bags.contract import find_topic, need_topic, TWIST
-from bags.decode import BundleDecoder, decode, ImageDecoder
+from bags.decode import decode, ImageDecoder
 from bags.reader import BagReader
+from bags.steps import StepDecoder
 from msgs_bridge.errors import MessageError
-from msgs_bridge.stamps import NANOSECONDS, to_nanoseconds
+from msgs_bridge.stamps import to_nanoseconds
+from msgs_bridge.step import Step
 from msgs_bridge.topics import CMD_VEL, IMAGE, STEP
 from msgs_bridge.transitions import Transition, TransitionJoiner
-from msgs_bridge.twists import Action, twist_to_action
-
-NEEDED = ('reward', 'terminated', 'truncated', 'episode', 'decision', 'applied_sec',
-          'applied_nanosec')
-CONTROLS = ('steer', 'gas', 'brake')
+from msgs_bridge.twists import Command, read_command
 
 
 def bag_transitions(
@@ -30,8 +28,8 @@ def bag_transitions(
     """
     Yield the transitions of bags, one bag after another, as `TransitionJoiner` joins them.
 
-    Whoever drove: the twist that was applied is the action. Without a stamped `cmd_vel` in the
-    bag the action is what `step` says was applied.
+    Whoever drove: the twist that was applied is the command. Without a stamped `cmd_vel` in the
+    bag the command is what `step` says was applied.
 
     Args:
         paths: bag folders or files.
@@ -58,24 +56,22 @@ def _transitions(
         # without stamps nothing says which frame a twist answered
         twists = None
     joiner = TransitionJoiner()
-    decoder = BundleDecoder()
+    step_decoder = StepDecoder()
     image_decoder = ImageDecoder()
     wanted = [images, steps] if twists is None else [images, steps, twists]
-    needed = NEEDED + CONTROLS if twists is None else NEEDED
     try:
         for message in reader.messages(wanted):
             try:
                 if message.topic == images:
                     joined = joiner.add_image(*image_decoder.decode(message.data, images))
                 elif message.topic == steps:
-                    bundle = decoder.decode(message.data, steps)
-                    facts = bundle.values_with(needed)
-                    joined = [] if twists is not None else _applied(joiner, facts)
-                    joined += joiner.add_step(bundle.stamp, facts)
+                    stamp, step = step_decoder.decode(message.data, steps)
+                    joined = [] if twists is not None else _applied(joiner, step)
+                    joined += joiner.add_step(stamp, step)
                 else:
                     twist = decode(message.data, CMD_VEL.type_name, CMD_VEL.name)
-                    action, _ = twist_to_action(twist.twist)
-                    joined = joiner.add_twist(to_nanoseconds(twist.header.stamp), action)
+                    joined = joiner.add_twist(
+                        to_nanoseconds(twist.header.stamp), read_command(twist.twist))
             except MessageError:
                 # live nodes pass over such a message too
                 counts['rejected'] += 1
@@ -85,9 +81,12 @@ def _transitions(
         counts.update(joiner.counts)
 
 
-def _applied(joiner: TransitionJoiner, facts: dict[str, float]) -> list[Transition]:
-    """Take the action that `step` says was applied in place of the twist."""
-    if facts['applied_sec'] < 0:
+def _applied(joiner: TransitionJoiner, step: Step) -> list[Transition]:
+    """Take the command that `step` says was applied in place of the twist."""
+    if step.applied is None:
         return []
-    stamp = int(facts['applied_sec']) * NANOSECONDS + int(facts['applied_nanosec'])
-    return joiner.add_twist(stamp, Action(*(facts[name] for name in CONTROLS)))
+    try:
+        command = Command(*(step.info[name] for name in Command._fields))
+    except KeyError as error:
+        raise MessageError(f'step lacks {error.args[0]!r}, and no twist says it') from None
+    return joiner.add_twist(step.applied, command)

@@ -7,10 +7,12 @@ import dataclasses
 
 import numpy as np
 
+from carracing_sim_node.controls import controls
 from carracing_sim_node.environment import make_env
 from carracing_sim_node.settings import SimulatorSettings
 from msgs_bridge.stamps import NANOSECONDS
-from msgs_bridge.twists import Action, COAST
+from msgs_bridge.step import CONTRACT_VERSION
+from msgs_bridge.twists import Command, STOP
 
 FRAME_NANOSECONDS = 20_000_000
 # A gap that no frame rate of ours can make, so that a policy sees a new scene by the stamps alone.
@@ -25,14 +27,19 @@ class Frame:
     Attributes:
         stamp: simulation time in ns.
         pixels: uint8 (96, 96, 3) rgb.
-        facts: `step_fields.STEP_FIELDS` by name.
-        summary: `step_fields.EPISODE_FIELDS` on the last frame of an episode, else None.
+        facts: what goes out as `step`, by name.
+        summary: what goes out as `episode` on the first and last frame of one, else None.
     """
 
     stamp: int
     pixels: np.ndarray
     facts: dict[str, float]
     summary: dict[str, float] | None
+
+    @property
+    def ended(self) -> bool:
+        """Return whether the episode ends with this frame."""
+        return bool(self.facts['terminated'] or self.facts['truncated'])
 
 
 class Drive:
@@ -85,19 +92,19 @@ class Drive:
         self.unanswered = 0
         self.episode_return = 0.0
         self.stamp += RESET_NANOSECONDS
-        facts = self._facts(0.0, False, False, False, COAST, None, 0)
-        return Frame(self.stamp, pixels, facts, None)
+        facts = self._facts(0.0, False, False, False, STOP, None, 0)
+        return Frame(self.stamp, pixels, facts, self._summary(facts))
 
-    def advance(self, action: Action, applied_stamp: int | None) -> Frame:
+    def advance(self, command: Command, applied_stamp: int | None) -> Frame:
         """
         Drive one decision and return the frame that follows.
 
         Args:
-            action: what drives the car.
+            command: what drives the car, within [-1, 1].
             applied_stamp: stamp in ns of the twist it came from; None when there was none.
         """
         before = self.env.facts().frames
-        pixels, reward, terminated, truncated, info = self.env.step(action)
+        pixels, reward, terminated, truncated, info = self.env.step(controls(command))
         frames = self.env.facts().frames - before
         self.decision += 1
         self.unanswered += applied_stamp is None
@@ -105,13 +112,13 @@ class Drive:
         self.stamp += frames * FRAME_NANOSECONDS
         left_field = terminated and not info.get('lap_finished', False)
         facts = self._facts(
-            reward, terminated, truncated, left_field, action, applied_stamp, frames)
+            reward, terminated, truncated, left_field, command, applied_stamp, frames)
         summary = self._summary(facts) if terminated or truncated else None
         return Frame(self.stamp, pixels, facts, summary)
 
     def _facts(
         self, reward: float, terminated: bool, truncated: bool, left_field: bool,
-        action: Action, applied_stamp: int | None, frames: int,
+        command: Command, applied_stamp: int | None, frames: int,
     ) -> dict[str, float]:
         known = self.env.facts()
         seconds, nanoseconds = (
@@ -136,16 +143,11 @@ class Drive:
             'wheels_off_road': known.wheels_off_road,
             'speed': known.speed,
             'standing_still': known.standing_still,
-            'steer': action.steer,
-            'gas': action.gas,
-            'brake': action.brake,
+            'linear': command.linear,
+            'angular': command.angular,
             'applied_sec': seconds,
             'applied_nanosec': nanoseconds,
             'frames': frames,
-            'zoom': self.settings.zoom,
-            'domain_randomize': self.settings.domain_randomize,
-            'early_end_frames': self.settings.early_end_frames,
-            'early_end_lap': self.settings.early_end_lap,
         }
 
     def _summary(self, facts: dict[str, float]) -> dict[str, float]:
@@ -155,4 +157,9 @@ class Drive:
         return {
             **{name: facts[name] for name in shared},
             'frames': facts['step'], 'decisions': self.decision, 'unanswered': self.unanswered,
+            'contract_version': CONTRACT_VERSION,
+            'frame_seconds': FRAME_NANOSECONDS / NANOSECONDS,
+            **{name: getattr(self.settings, name) for name in (
+                'action_repeat', 'zoom', 'domain_randomize', 'early_end_frames',
+                'early_end_lap')},
         }

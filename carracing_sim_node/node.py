@@ -30,7 +30,7 @@ from msgs_bridge.images import fill_image
 from msgs_bridge.named_values import fill_named_values
 from msgs_bridge.node_shell import Finished, NodeShell, run_node
 from msgs_bridge.stamps import NANOSECONDS, set_stamp, to_nanoseconds
-from msgs_bridge.twists import Action, COAST, twist_to_action
+from msgs_bridge.twists import Command, read_command, STOP
 from rclpy.duration import Duration
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image, JointState
@@ -73,8 +73,8 @@ class CarRacingSimNode(NodeShell):
         self._steps_allowed = 0
         self._frame: Frame | None = None
         self._final_stamp = -1
-        self._answer: tuple[Action, int | None] | None = None
-        self._held: tuple[Action, int] | None = None
+        self._answer: tuple[Command, int | None] | None = None
+        self._held: tuple[Command, int] | None = None
         self._held_since = 0.0
         self._asked_at = 0.0
         self._decisions = self._simulated = 0
@@ -134,8 +134,9 @@ class CarRacingSimNode(NodeShell):
         self._clock_publisher.publish(clock)
         self._step_publisher.publish(fill_named_values(JointState(), frame.facts, frame.stamp))
         self._reward_publisher.publish(Float32(data=float(frame.facts['reward'])))
-        if frame.summary is not None:
+        if frame.ended:
             self._final_stamp = frame.stamp
+        if frame.summary is not None:
             self._episode_publisher.publish(
                 fill_named_values(JointState(), frame.summary, frame.stamp))
 
@@ -144,14 +145,14 @@ class CarRacingSimNode(NodeShell):
         self._image_publisher.publish(
             fill_image(Image(), frame.pixels, frame.stamp, self.settings.frame_id))
 
-    def _advance(self, action: Action, applied_stamp: int | None) -> None:
+    def _advance(self, command: Command, applied_stamp: int | None) -> None:
         """Drive one decision, publish it, and start the next episode after the last frame."""
         self._answer = None
-        frame = self.drive.advance(action, applied_stamp)
+        frame = self.drive.advance(command, applied_stamp)
         self._decisions += 1
         self._simulated += int(frame.facts['frames'])
         self._publish(frame)
-        if frame.summary is not None:
+        if frame.ended:
             self._begin_episode()
 
     def _may_step(self) -> bool:
@@ -172,12 +173,13 @@ class CarRacingSimNode(NodeShell):
             self._take_twist(message, self._frame.stamp)
 
     def _take_twist(self, twist: object, stamp: int) -> None:
-        action, clamped = twist_to_action(twist)
-        self.counts['clamped_twists'] += clamped
+        given = read_command(twist)
+        command = given.clamped()
+        self.counts['clamped_twists'] += command != given
         if self._frame is None:
             return
         if self.settings.stepping == 'real_time':
-            self._held, self._held_since = (action, stamp), time.monotonic()
+            self._held, self._held_since = (command, stamp), time.monotonic()
             return
         if stamp != self._frame.stamp:
             # an answer to the last frame of an episode, or a watchdog's zero twist, is no fault
@@ -187,7 +189,7 @@ class CarRacingSimNode(NodeShell):
                     f'waiting for {self._frame.stamp / NANOSECONDS:.2f} s')
             return
         if self._answer is None:
-            self._held = self._answer = (action, stamp)
+            self._held = self._answer = (command, stamp)
         self._go_on()
 
     def _go_on(self) -> None:
@@ -212,7 +214,7 @@ class CarRacingSimNode(NodeShell):
         elif choice == 'hold' and self._held is not None:
             self._advance(*self._held)
         else:
-            self._advance(COAST, None)
+            self._advance(STOP, None)
 
     def _tick(self) -> None:
         """Real time: drive on by the twist that is held."""
@@ -220,15 +222,15 @@ class CarRacingSimNode(NodeShell):
             return
         if self._held is not None:
             if time.monotonic() - self._held_since <= self.settings.stale_after:
-                action, stamp = self._held
-                self._advance(action, stamp or None)
+                command, stamp = self._held
+                self._advance(command, stamp or None)
                 return
             self._held = None
             self.counts['stale_twists'] += 1
             self.get_logger().warn(
                 f'no twist for {self.settings.stale_after:g} s: coasting',
                 throttle_duration_sec=5.0)
-        self._advance(COAST, None)
+        self._advance(STOP, None)
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self._frame is None:

@@ -9,15 +9,25 @@ import json
 import re
 from typing import Any
 
-from dqn_policy_node.action_sets import ActionSet
+from dqn_policy_node.action_space import ActionSpace, read_action_space
 from dqn_policy_node.errors import ModelError
+from msgs_bridge.twists import Command
 
+# of a frame, when a description of before they were written down does not say
 FRAME_SIDE = 96
+MAX_FRAME_SIDE = 4096
+# of a held action, and between the observations of a stack
+MAX_SECONDS = 60.0
 GRAYS = ('mean', 'luma')
 ROADS = ('plain', 'flat', 'contrast')
 # model files and weights come from outside: no description may ask for more than this
 MAX_PARAMETERS = 50_000_000
 _CONVOLUTION = re.compile(r'(\d{1,4})@(\d{1,2})/(\d{1,2})')
+
+
+def _check_seconds(name: str, value: Any) -> None:
+    if type(value) is not float or not 0 < value <= MAX_SECONDS:
+        raise ModelError(f'{name} is {value!r}; accepted: above 0, up to {MAX_SECONDS:g}')
 
 
 def _check_whole(name: str, value: Any, low: int, high: int) -> None:
@@ -31,7 +41,8 @@ class Preprocessing:
     From an rgb frame to the gray observation that the network sees.
 
     Attributes:
-        first_row, rows, first_column, columns: the part of the 96x96 frame that is kept.
+        frame_height, frame_width: size in pixels of the frames that the model learned from.
+        first_row, rows, first_column, columns: the part of the frame that is kept.
         gray: 'mean' of the channels (the report, 2.1) or 'luma' (ITU-R BT.601).
         road: how the road is shown. CarRacing draws two of three unvisited tiles 1 or 2 %
             brighter than visited road. 'plain' leaves that as it is; 'flat' draws all road in
@@ -40,6 +51,8 @@ class Preprocessing:
         shrink: side of the square of pixels that is averaged into one.
     """
 
+    frame_height: int = FRAME_SIDE
+    frame_width: int = FRAME_SIDE
     first_row: int = 0
     rows: int = FRAME_SIDE
     first_column: int = 0
@@ -50,11 +63,13 @@ class Preprocessing:
 
     def __post_init__(self) -> None:
         """Check the values; raises ModelError."""
-        for first, count, what in (
-            (self.first_row, self.rows, 'row'), (self.first_column, self.columns, 'column'),
+        for side, first, count, what in (
+            (self.frame_height, self.first_row, self.rows, 'row'),
+            (self.frame_width, self.first_column, self.columns, 'column'),
         ):
-            _check_whole(f'first_{what}', first, 0, FRAME_SIDE - 1)
-            _check_whole(f'{what}s', count, 1, FRAME_SIDE - first)
+            _check_whole(f'frame size across {what}s', side, 1, MAX_FRAME_SIDE)
+            _check_whole(f'first_{what}', first, 0, side - 1)
+            _check_whole(f'{what}s', count, 1, side - first)
         _check_whole('shrink', self.shrink, 1, 8)
         if self.rows % self.shrink or self.columns % self.shrink:
             raise ModelError(
@@ -141,25 +156,23 @@ class ModelDescription:
         network: shape of the network.
         preprocessing: from frame to observation.
         frame_stack: observations that the network sees at once, oldest first.
-        action_set: what its outputs mean.
-        action_repeat: simulator frames (1/50 s) for which an action is held when driving.
-        stack_frames: simulator frames between the observations of a stack; 0 = as `action_repeat`.
+        action_space: what its outputs mean.
+        action_seconds: for which an action is held when driving.
+        stack_seconds: between the observations of a stack.
     """
 
     network: Network
     preprocessing: Preprocessing
     frame_stack: int
-    action_set: ActionSet
-    action_repeat: int
-    stack_frames: int = 0
+    action_space: ActionSpace
+    action_seconds: float
+    stack_seconds: float
 
     def __post_init__(self) -> None:
         """Check what concerns more than one part; raises ModelError."""
         _check_whole('frame_stack', self.frame_stack, 1, 16)
-        _check_whole('action_repeat', self.action_repeat, 1, 50)
-        _check_whole('stack_frames', self.stack_frames, 0, 50)
-        if self.stack_frames == 0:
-            object.__setattr__(self, 'stack_frames', self.action_repeat)
+        _check_seconds('action_seconds', self.action_seconds)
+        _check_seconds('stack_seconds', self.stack_seconds)
         if self.parameters > MAX_PARAMETERS:
             raise ModelError(
                 f'network of {self.parameters} weights; accepted: up to {MAX_PARAMETERS}')
@@ -192,7 +205,7 @@ class ModelDescription:
             shapes[f'convolutions.{index}.bias'] = (layer.filters,)
             channels = layer.filters
         channels, height, width = self.features
-        hidden, actions = self.network.hidden, len(self.action_set)
+        hidden, actions = self.network.hidden, len(self.action_space)
         shapes['hidden.weight'] = (hidden, channels * height * width)
         shapes['hidden.bias'] = (hidden,)
         if self.network.dueling:
@@ -221,9 +234,9 @@ class ModelDescription:
                 'convolutions': [dataclasses.asdict(c) for c in self.network.convolutions]},
             'preprocessing': dataclasses.asdict(self.preprocessing),
             'frame_stack': self.frame_stack,
-            'action_set': self.action_set.to_json(),
-            'action_repeat': self.action_repeat,
-            'stack_frames': self.stack_frames,
+            'action_space': self.action_space.to_json(),
+            'action_seconds': self.action_seconds,
+            'stack_seconds': self.stack_seconds,
         }
 
     @classmethod
@@ -234,6 +247,8 @@ class ModelDescription:
         Raises:
             ModelError: a key is missing or unknown, or a value is not accepted.
         """
+        if isinstance(values, dict) and 'action_set' in values:
+            values = _upgraded(values)
         values = _check_keys('model', values, cls)
         network = dict(_check_keys('network', values['network'], Network))
         layers = network['convolutions']
@@ -246,22 +261,51 @@ class ModelDescription:
             preprocessing=Preprocessing(
                 **_check_keys('preprocessing', values['preprocessing'], Preprocessing)),
             frame_stack=values['frame_stack'],
-            action_set=ActionSet.from_json(values['action_set']),
-            action_repeat=values['action_repeat'],
-            stack_frames=values['stack_frames'],
+            action_space=read_action_space(values['action_space']),
+            action_seconds=values['action_seconds'],
+            stack_seconds=values['stack_seconds'],
         )
 
-    def to_text(self) -> str:
-        """Return the description as JSON, always the same for equal descriptions."""
-        return json.dumps(self.to_json(), sort_keys=True, separators=(',', ':'))
-
     def sha256(self) -> str:
-        """Return the hash of `to_text`."""
-        return hashlib.sha256(self.to_text().encode()).hexdigest()
+        """Return the hash of `to_json`."""
+        return json_sha256(self.to_json())
 
     def differences(self, other: ModelDescription) -> list[str]:
         """Return a text for each value in which another description differs from this one."""
         return list(_differences('', self.to_json(), other.to_json()))
+
+
+def json_sha256(values: Any) -> str:
+    """Return the hash of JSON values, the same for equal ones."""
+    return hashlib.sha256(
+        json.dumps(values, sort_keys=True, separators=(',', ':')).encode()).hexdigest()
+
+
+def _upgraded(values: dict[str, Any]) -> dict[str, Any]:
+    """
+    Return a description of version 0.1, in frames of 1/50 s and pedals, in today's form.
+
+    Raises:
+        ModelError: it is not of that form.
+    """
+    try:
+        repeat, spacing = int(values['action_repeat']), int(values['stack_frames'])
+        rows = [
+            {'name': row['name'],
+             **Command(row['gas'] - row['brake'], -row['steer'] + 0.0)._asdict()}
+            for row in values['action_set']['actions']]
+        return {
+            'network': values['network'],
+            'preprocessing': {
+                'frame_height': FRAME_SIDE, 'frame_width': FRAME_SIDE,
+                **values['preprocessing']},
+            'frame_stack': values['frame_stack'],
+            'action_space': {
+                'kind': 'discrete', 'name': values['action_set']['name'], 'actions': rows},
+            'action_seconds': repeat / 50, 'stack_seconds': (spacing or repeat) / 50,
+        }
+    except (TypeError, KeyError, ValueError, OverflowError) as error:
+        raise ModelError(f'model: {type(error).__name__} {error}') from None
 
 
 def _check_keys(what: str, values: Any, kind: type) -> dict[str, Any]:

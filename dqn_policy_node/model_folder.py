@@ -19,13 +19,15 @@ from typing import Any
 import torch
 
 from dqn_policy_node.errors import ModelError
-from dqn_policy_node.model_description import ModelDescription
+from dqn_policy_node.model_description import json_sha256, ModelDescription
 from dqn_policy_node.safetensors_image import MAX_BYTES, pack, unpack
 from msgs_bridge.atomic_write import write_bytes, write_text
 
 WEIGHTS_FILE = 'weights.safetensors'
 MODEL_FILE = 'model.json'
-FORMAT = 'carracing_dqn model 1'
+FORMAT = 'carracing_dqn model 2'
+# of version 0.1: the description has another form
+READABLE = ('carracing_dqn model 1', FORMAT)
 MAX_MODEL_FILE_BYTES = 4 * 2**20
 
 
@@ -99,14 +101,14 @@ def load_model(folder: Path | str) -> Model:
     text = _read(folder / MODEL_FILE, MAX_MODEL_FILE_BYTES)
     try:
         record = json.loads(text)
-        if not isinstance(record, dict) or record.get('format') != FORMAT:
+        if not isinstance(record, dict) or record.get('format') not in READABLE:
             raise ModelError(f'format is not {FORMAT!r}')
         description = ModelDescription.from_json(record['description'])
         hash_of_weights = record['sha256'][WEIGHTS_FILE]
         training, version = record['training'], record['version']
         if not isinstance(training, dict) or type(version) is not int or version < 0:
             raise ModelError('training or version is of the wrong type')
-        if record['description_sha256'] != description.sha256():
+        if record['description_sha256'] != json_sha256(record['description']):
             raise ModelError('description does not match its hash')
     except ModelError as error:
         raise ModelError(f'{folder / MODEL_FILE}: {error}') from None

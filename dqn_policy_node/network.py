@@ -32,7 +32,7 @@ class QNetwork(nn.Module):
             nn.Conv2d(channels, layer.filters, layer.kernel, layer.stride)
             for channels, layer in zip(inputs, network.convolutions))
         channels, height, width = description.features
-        actions = len(description.action_set)
+        actions = len(description.action_space)
         self.hidden = nn.Linear(channels * height * width, network.hidden)
         if network.dueling:
             self.value = nn.Linear(network.hidden // 2, 1)

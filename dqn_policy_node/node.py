@@ -18,7 +18,7 @@ import sys
 import time
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from dqn_policy_node.action_sets import ACTION_SETS
+from dqn_policy_node.action_space import DUMMY_SPACE
 from dqn_policy_node.device import choose_device
 from dqn_policy_node.pilot import Pilot
 from dqn_policy_node.policy import load_policy, Policy, RandomPolicy
@@ -32,7 +32,7 @@ from msgs_bridge.images import image_to_array
 from msgs_bridge.named_values import fill_named_values
 from msgs_bridge.node_shell import NodeShell, run_node
 from msgs_bridge.stamps import NANOSECONDS, to_nanoseconds
-from msgs_bridge.twists import Action, COAST, fill_twist
+from msgs_bridge.twists import Command, fill_twist, STOP
 from sensor_msgs.msg import JointState
 import torch
 
@@ -52,7 +52,7 @@ class DqnPolicyNode(NodeShell):
         # one observation at a time gains nothing from a second thread, and takes a core
         torch.set_num_threads(1)
         if settings.model == RANDOM_MODEL:
-            self._take_policy(RandomPolicy(ACTION_SETS['seed5']))
+            self._take_policy(RandomPolicy(DUMMY_SPACE))
         elif settings.model != NO_MODEL:
             self._take_policy(load_policy(find_model(settings.model), device=self._device))
         stamped = settings.cmd_vel_stamped
@@ -94,7 +94,7 @@ class DqnPolicyNode(NodeShell):
             raise MessageError(str(error)) from None
         self._last_image, self._halted = time.monotonic(), False
         self.counts['images'] += 1
-        self._send(answer.action, message.header.stamp)
+        self._send(answer.command, message.header.stamp)
         decision = answer.decision
         if decision is None:
             return
@@ -109,14 +109,14 @@ class DqnPolicyNode(NodeShell):
         self._q_values.publish(fill_named_values(
             JointState(), values, to_nanoseconds(message.header.stamp)))
 
-    def _send(self, action: Action, stamp: object | None) -> None:
+    def _send(self, command: Command, stamp: object | None) -> None:
         if not self.settings.cmd_vel_stamped:
-            self._cmd_vel.publish(fill_twist(Twist(), action))
+            self._cmd_vel.publish(fill_twist(Twist(), command))
             return
         message = TwistStamped()
         if stamp is not None:
             message.header.stamp = stamp
-        fill_twist(message.twist, action)
+        fill_twist(message.twist, command)
         self._cmd_vel.publish(message)
 
     def _watch_images(self) -> None:
@@ -125,7 +125,7 @@ class DqnPolicyNode(NodeShell):
             self._halted = True
             self.counts['stale_images'] += 1
             self.get_logger().warn(f'no image for {self.settings.stale_after:g} s: zero twist')
-            self._send(COAST, None)
+            self._send(STOP, None)
 
     def _on_weights(self, message: object) -> None:
         """Swap in new weights between two decisions."""

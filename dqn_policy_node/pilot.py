@@ -12,7 +12,7 @@ import dataclasses
 
 from dqn_policy_node.policy import Decision, Policy
 from msgs_bridge.stamps import NANOSECONDS
-from msgs_bridge.twists import Action
+from msgs_bridge.twists import Command
 import numpy as np
 
 FRAME_NANOSECONDS = NANOSECONDS // 50
@@ -22,9 +22,9 @@ JITTER_NANOSECONDS = FRAME_NANOSECONDS // 2
 
 @dataclasses.dataclass(frozen=True)
 class Answer:
-    """The action for one image, and the decision if this image led to a new one."""
+    """The command for one image, and the decision if this image led to a new one."""
 
-    action: Action
+    command: Command
     decision: Decision | None
 
 
@@ -63,8 +63,8 @@ class Pilot:
             decision = self.policy.decide(frame, elapsed)
             self._decided = stamp
             self._due = stamp + self.policy.action_repeat * FRAME_NANOSECONDS
-            self._answer = Answer(Action(*decision.action), decision)
+            self._answer = Answer(decision.command, decision)
         else:
-            self._answer = Answer(self._answer.action, None)
+            self._answer = Answer(self._answer.command, None)
         self._stamp = stamp
         return self._answer

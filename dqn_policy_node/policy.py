@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from dqn_policy_node.action_sets import ActionSet
+from dqn_policy_node.action_space import ActionSpace
 from dqn_policy_node.errors import ModelError
 from dqn_policy_node.frame_stack import FrameStack
 from dqn_policy_node.model_description import ModelDescription
@@ -17,10 +17,12 @@ from dqn_policy_node.model_folder import load_model
 from dqn_policy_node.network import QNetwork
 from dqn_policy_node.preprocessing import Preprocessor
 from dqn_policy_node.weights_message import WeightsUpdate
-from msgs_bridge.twists import Action
+from msgs_bridge.twists import Command
 
 # of the lengths of explorations: three of five last one decision, one of six four or more
 ZETA_EXPONENT = 2.0
+# seconds of a frame of CarRacing
+FRAME_SECONDS = 0.02
 
 
 class Decision(NamedTuple):
@@ -28,14 +30,14 @@ class Decision(NamedTuple):
     One choice of a policy.
 
     Attributes:
-        index: place of the action in the action set.
-        action: steer, gas and brake.
+        index: place of the action in the action space.
+        command: what it means.
         q_values: float32 (actions,), or None when nothing computed them.
         explored: whether it was drawn at random.
     """
 
     index: int
-    action: Action
+    command: Command
     q_values: np.ndarray | None
     explored: bool
 
@@ -43,31 +45,31 @@ class Decision(NamedTuple):
 class _HeldAction:
     """What all policies share: an action is decided on and then held for some frames."""
 
-    action_set: ActionSet
+    action_space: ActionSpace
     action_repeat: int
 
     def __init__(self) -> None:
-        self._held: Action | None = None
+        self._held: Command | None = None
         self._frames_left = 0
 
     @property
     def action_names(self) -> tuple[str, ...]:
         """Return the name of each action."""
-        return self.action_set.names
+        return self.action_space.names
 
-    def act(self, frame: np.ndarray) -> tuple[float, float, float]:
+    def act(self, frame: np.ndarray) -> Command:
         """
-        Return steer, gas and brake for one simulator step.
+        Return the command for one simulator step.
 
         Args:
             frame: uint8 (96, 96, 3) rgb, one for every simulator step (50 a second). Those in
                 which an action is held are not looked at.
         """
         if self._frames_left == 0:
-            self._held = self.decide(frame).action
+            self._held = self.decide(frame).command
             self._frames_left = self.action_repeat
         self._frames_left -= 1
-        return tuple(self._held)
+        return self._held
 
     def decide(self, frame: np.ndarray, elapsed: int | None = None) -> Decision:
         """Return the decision on a frame."""
@@ -94,8 +96,8 @@ class Policy(_HeldAction):
         """Make a policy with random weights; `seed` is that of its exploration."""
         super().__init__()
         self.description = description
-        self.action_set = description.action_set
-        self.action_repeat = description.action_repeat
+        self.action_space = description.action_space
+        self.action_repeat = round(description.action_seconds / FRAME_SECONDS)
         self.epsilon = 0.0
         self.gas_weight = 1.0
         self.exploration_hold = 1
@@ -106,9 +108,10 @@ class Policy(_HeldAction):
         self._network.requires_grad_(False)
         self._preprocess = Preprocessor(description.preprocessing)
         self._stack = FrameStack(
-            description.frame_stack, description.preprocessing.shape, description.stack_frames)
+            description.frame_stack, description.preprocessing.shape,
+            round(description.stack_seconds / FRAME_SECONDS))
         self._random = np.random.default_rng(seed)
-        self._has_gas = np.array([action.gas > 0 for action in self.action_set.actions])
+        self._has_gas = np.array([command.linear > 0 for command in self.action_space.commands])
 
     def reset(self, seed: int | None = None) -> None:
         """Start an episode: forget frames and held action; a seed restarts the exploration."""
@@ -133,8 +136,8 @@ class Policy(_HeldAction):
             elapsed = self.action_repeat
         q_values = self.q_values(self._stack.push(self._preprocess(frame), elapsed))
         explored = self._explores()
-        index = self._explored_index if explored else int(q_values.argmax())
-        return Decision(index, self.action_set.actions[index], q_values, bool(explored))
+        index = self._explored_index if explored else self.action_space.greedy(q_values)
+        return Decision(index, self.action_space.decode(index), q_values, bool(explored))
 
     @torch.inference_mode()
     def q_values(self, observations: np.ndarray) -> np.ndarray:
@@ -173,7 +176,7 @@ class Policy(_HeldAction):
 
     def _random_index(self) -> int:
         if self.gas_weight == 1:
-            return int(self._random.integers(len(self.action_set)))
+            return int(self._random.integers(len(self.action_space)))
         weights = np.where(self._has_gas, self.gas_weight, 1.0)
         return int(np.searchsorted(
             np.cumsum(weights) / weights.sum(), self._random.random(), side='right'))
@@ -183,11 +186,11 @@ class RandomPolicy(_HeldAction):
     """Draws every action uniformly: the report's dummy agent (3.2.3)."""
 
     def __init__(
-        self, action_set: ActionSet, *, action_repeat: int = 1, seed: int | None = None,
+        self, action_space: ActionSpace, *, action_repeat: int = 1, seed: int | None = None,
     ) -> None:
-        """Draw from a set, a new action every `action_repeat` frames."""
+        """Draw from a space, a new action every `action_repeat` frames."""
         super().__init__()
-        self.action_set = action_set
+        self.action_space = action_space
         self.action_repeat = action_repeat
         self.epsilon = 1.0
         self.version = 0
@@ -202,8 +205,8 @@ class RandomPolicy(_HeldAction):
 
     def decide(self, frame: np.ndarray, elapsed: int | None = None) -> Decision:
         """Draw an action whatever the frame shows."""
-        index = int(self._random.integers(len(self.action_set)))
-        return Decision(index, self.action_set.actions[index], None, True)
+        index = int(self._random.integers(len(self.action_space)))
+        return Decision(index, self.action_space.decode(index), None, True)
 
 
 def load_policy(

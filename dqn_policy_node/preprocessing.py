@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dqn_policy_node.model_description import FRAME_SIDE, Preprocessing
+from dqn_policy_node.model_description import Preprocessing
 from msgs_bridge.errors import MessageError
 
 # gymnasium draws road at 102 plus 0, 2.55 or 5.1; its scaling blurs each by a level or so
@@ -24,6 +24,7 @@ class Preprocessor:
         """Prepare the tables for a description."""
         self.description = description
         self.shape = description.shape
+        self._frame_shape = (description.frame_height, description.frame_width, 3)
         self._rows = slice(description.first_row, description.first_row + description.rows)
         self._columns = slice(
             description.first_column, description.first_column + description.columns)
@@ -47,7 +48,7 @@ class Preprocessor:
         Return the observation of a frame.
 
         Args:
-            frame: uint8 (96, 96, 3) rgb.
+            frame: uint8 (frame_height, frame_width, 3) rgb.
 
         Returns:
             uint8 (H, W), a new array.
@@ -55,9 +56,9 @@ class Preprocessor:
         Raises:
             MessageError: the frame has another shape or type.
         """
-        if frame.shape != (FRAME_SIDE, FRAME_SIDE, 3) or frame.dtype != np.uint8:
-            raise MessageError(f'frame is {frame.dtype} {frame.shape}; '
-                               f'expected uint8 ({FRAME_SIDE}, {FRAME_SIDE}, 3)')
+        if frame.shape != self._frame_shape or frame.dtype != np.uint8:
+            raise MessageError(
+                f'frame is {frame.dtype} {frame.shape}; expected uint8 {self._frame_shape}')
         part = frame[self._rows, self._columns]
         if self._weights is None:
             sums = part[..., 0].astype(np.uint16)

@@ -11,10 +11,12 @@ from typing import Any
 import torch
 
 from dqn_policy_node.errors import ModelError
-from dqn_policy_node.model_description import ModelDescription
+from dqn_policy_node.model_description import json_sha256, ModelDescription
 from dqn_policy_node.safetensors_image import pack, read_metadata, tensors_sha256, unpack
 
-FORMAT = 'carracing_dqn weights 1'
+FORMAT = 'carracing_dqn weights 2'
+# of version 0.1, in bags: the description has another form
+READABLE = ('carracing_dqn weights 1', FORMAT)
 METADATA_KEY = 'carracing_dqn'
 MAX_HOLD = 1000
 
@@ -76,10 +78,10 @@ def _read_record(data: bytes) -> tuple[dict[str, Any], ModelDescription]:
         record = json.loads(metadata.get(METADATA_KEY, '{}'))
     except (ValueError, TypeError, RecursionError):
         record = None
-    if not isinstance(record, dict) or record.get('format') != FORMAT:
+    if not isinstance(record, dict) or record.get('format') not in READABLE:
         raise ModelError(f'weights image is not a {FORMAT!r}')
     description = ModelDescription.from_json(record.get('description'))
-    if record.get('description_sha256') != description.sha256():
+    if record.get('description_sha256') != json_sha256(record.get('description')):
         raise ModelError('weights image is damaged: its description does not match its hash')
     return record, description
 

@@ -18,18 +18,20 @@ def fill_named_values(message: object, values: dict[str, float], stamp: int) -> 
     return message
 
 
-def read_named_values(message: object, required: Iterable[str]) -> dict[str, float]:
+def read_named_values(message: object, required: Iterable[str] = ()) -> dict[str, float]:
     """
     Return name -> value of a JointState bundle.
 
     Raises:
-        MessageError: names and positions of different length, a required name that is missing,
-            or a required value that is not finite.
+        MessageError: names and positions of different length, a name twice, a required name
+            that is missing, or a required value that is not finite.
     """
     if len(message.name) != len(message.position):
         raise MessageError(
             f'bundle has {len(message.name)} names but {len(message.position)} values')
     values = dict(zip(message.name, message.position))
+    if len(values) != len(message.name):
+        raise MessageError('bundle has a name twice')
     for name in required:
         if name not in values:
             raise MessageError(f'bundle lacks {name!r}')

@@ -41,16 +41,17 @@ STALL_DEPTH = 2000
 BURST_DEPTH = 500
 
 IMAGE = Topic('image_raw', 'sensor_msgs/msg/Image', 'carracing_sim_node', BURST_DEPTH,
-              'rgb8 96x96 observation; stamp = simulation time, never rewound')
+              'the camera; stamp = simulation time, never rewound')
 STEP = Topic('step', 'sensor_msgs/msg/JointState', 'carracing_sim_node', STALL_DEPTH,
-             'names and values of `step_fields.STEP_FIELDS`; same stamp as its image')
+             '`step.STEP_CORE` and any further info by name; same stamp as its image')
 REWARD = Topic('reward', 'std_msgs/msg/Float32', 'carracing_sim_node', BURST_DEPTH,
                "the environment's own reward, for a quick look; never a join key")
 EPISODE = Topic('episode', 'sensor_msgs/msg/JointState', 'carracing_sim_node', 10,
-                'summary of the episode that just ended, `step_fields.EPISODE_FIELDS`',
+                'an episode begins or has ended: `step.EPISODE_CORE` and what is '
+                'constant for a run',
                 latched=True)
 CMD_VEL = Topic('cmd_vel', 'geometry_msgs/msg/TwistStamped', 'dqn_policy_node', STALL_DEPTH,
-                'linear.x gas > 0, brake < 0; angular.z left > 0; all in [-1, 1]; '
+                'linear.x forward > 0, angular.z left > 0, in [-1, 1] to our simulators; '
                 'stamp of the image it answers')
 Q_VALUES = Topic('q_values', 'sensor_msgs/msg/JointState', 'dqn_policy_node', BURST_DEPTH,
                  'Q-value of each action by name, then `chosen`, `explored`, `weights_version`; '
@@ -59,7 +60,7 @@ WEIGHTS = Topic('weights', 'std_msgs/msg/UInt8MultiArray', 'trainer_node', 1,
                 'a safetensors file image with version, epsilon, model description and hash',
                 latched=True)
 VALIDATION = Topic('validation', 'sensor_msgs/msg/JointState', 'validation_node', 10,
-                   'greedy laps of one weights version, `step_fields.VALIDATION_FIELDS`',
+                   'greedy laps of one weights version, `step.VALIDATION_FIELDS`',
                    latched=True)
 CLOCK = Topic('/clock', 'rosgraph_msgs/msg/Clock', 'carracing_sim_node', BURST_DEPTH,
               'simulation time')

@@ -16,7 +16,8 @@ import dataclasses
 import numpy as np
 
 from msgs_bridge.stamps import NANOSECONDS
-from msgs_bridge.twists import Action
+from msgs_bridge.step import Step
+from msgs_bridge.twists import Command
 
 
 @dataclasses.dataclass(frozen=True)
@@ -28,28 +29,28 @@ class Transition:
         stamp, next_stamp: simulation time of the two frames in ns; the next transition of the
             same unbroken stretch has this `next_stamp` as its `stamp`.
         frame, next_frame: uint8 (H, W, 3) rgb.
-        action: what the twist said.
-        info: the `step` fields of the next frame (see `step_fields.STEP_FIELDS`).
-        previous_info: the `step` fields of the first frame.
+        command: what the twist said.
+        step: what came of it, the step of the next frame.
+        previous: the step of the first frame.
     """
 
     stamp: int
     next_stamp: int
     frame: np.ndarray
     next_frame: np.ndarray
-    action: Action
-    info: dict[str, float]
-    previous_info: dict[str, float]
+    command: Command
+    step: Step
+    previous: Step
 
     @property
     def terminated(self) -> bool:
         """Return whether the episode ended by its rules: nothing comes after."""
-        return self.info['terminated'] > 0
+        return self.step.terminated
 
     @property
     def truncated(self) -> bool:
         """Return whether the episode was cut off: more would have come."""
-        return self.info['truncated'] > 0
+        return self.step.truncated
 
 
 class _Lane:
@@ -90,7 +91,7 @@ class TransitionJoiner:
         """Bound what is kept to `capacity` messages a topic."""
         self._images = _Lane(capacity)
         self._twists = _Lane(capacity)
-        self._steps: deque[tuple[int, dict[str, float]]] = deque()
+        self._steps: deque[tuple[int, Step]] = deque()
         self._newest_step = -1
         self._capacity = capacity
         self.counts: Counter[str] = Counter()
@@ -100,14 +101,14 @@ class TransitionJoiner:
         self.counts['duplicate'] += not self._images.put(stamp, frame)
         return self._join()
 
-    def add_twist(self, stamp: int, action: Action) -> list[Transition]:
-        """Take the action that answers the image of a stamp in ns."""
-        self.counts['duplicate'] += not self._twists.put(stamp, action)
+    def add_twist(self, stamp: int, command: Command) -> list[Transition]:
+        """Take the command that answers the image of a stamp in ns."""
+        self.counts['duplicate'] += not self._twists.put(stamp, command)
         return self._join()
 
-    def add_step(self, stamp: int, facts: dict[str, float]) -> list[Transition]:
+    def add_step(self, stamp: int, step: Step) -> list[Transition]:
         """
-        Take the step facts of the image of a stamp in ns.
+        Take the step of the image of a stamp in ns.
 
         A stamp older than the one before means that time was set back: what was kept is dropped.
         """
@@ -117,7 +118,7 @@ class TransitionJoiner:
         if stamp < self._newest_step:
             self._rewind()
         self._newest_step = stamp
-        self._steps.append((stamp, facts))
+        self._steps.append((stamp, step))
         if len(self._steps) > self._capacity:
             self._steps.popleft()
             self.counts['lost_image'] += 1
@@ -149,23 +150,22 @@ class TransitionJoiner:
         return joined
 
     def _verdict(
-        self, stamp: int, before: dict[str, float], next_stamp: int, after: dict[str, float],
+        self, stamp: int, before: Step, next_stamp: int, after: Step,
     ) -> Transition | str:
-        if before['episode'] != after['episode'] or after['decision'] == 0:
+        if before.episode != after.episode or after.decision == 0:
             return 'boundary'
-        if after['decision'] != before['decision'] + 1:
+        if after.decision != before.decision + 1:
             return 'lost_step'
-        if after['applied_sec'] < 0:
+        if after.applied is None:
             return 'unanswered'
-        applied = int(after['applied_sec']) * NANOSECONDS + int(after['applied_nanosec'])
         for lane, wanted, loss in (
             (self._images, stamp, 'lost_image'),
             (self._images, next_stamp, 'lost_image'),
-            (self._twists, applied, 'lost_twist'),
+            (self._twists, after.applied, 'lost_twist'),
         ):
             if wanted not in lane.items:
                 return loss if lane.newest > wanted else 'wait'
         return Transition(
             stamp, next_stamp, self._images.items[stamp], self._images.items[next_stamp],
-            self._twists.items[applied], after, before,
+            self._twists.items[after.applied], after, before,
         )

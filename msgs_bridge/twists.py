@@ -1,9 +1,9 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Twists <-> the action of CarRacing, the one place that knows the signs.
+Twists <-> commands: the two numbers of a geometry_msgs/Twist that a ground vehicle obeys.
 
-REP-103: positive angular.z is a turn to the left; CarRacing's positive steer is to the right.
+REP-103: x is forward, a positive rotation about z is a turn to the left.
 """
 from __future__ import annotations
 
@@ -13,42 +13,39 @@ from typing import NamedTuple
 from msgs_bridge.errors import MessageError
 
 
-class Action(NamedTuple):
-    """One action of CarRacing: steer in [-1, 1] (right > 0), gas and brake in [0, 1]."""
-
-    steer: float
-    gas: float
-    brake: float
-
-
-COAST = Action(0.0, 0.0, 0.0)
-
-
-def twist_to_action(twist: object) -> tuple[Action, bool]:
+class Command(NamedTuple):
     """
-    Return the action of a geometry_msgs/Twist and whether it had to be clamped to [-1, 1].
+    What a driver wants: linear.x (forward > 0) and angular.z (left > 0).
+
+    Between a policy and a simulator of ours both are in [-1, 1]: full brake or reverse to full
+    gas, full right to full left. A robot takes m/s and rad/s.
+    """
+
+    linear: float
+    angular: float
+
+    def clamped(self) -> Command:
+        """Return the command within [-1, 1]."""
+        return Command(*(max(-1.0, min(1.0, value)) for value in self))
+
+
+STOP = Command(0.0, 0.0)
+
+
+def read_command(twist: object) -> Command:
+    """
+    Return the command of a geometry_msgs/Twist.
 
     Raises:
         MessageError: linear.x or angular.z is not finite.
     """
-    forward, left = twist.linear.x, twist.angular.z
-    if not (math.isfinite(forward) and math.isfinite(left)):
-        raise MessageError(f'twist with linear.x {forward} and angular.z {left}')
-    clamped = abs(forward) > 1 or abs(left) > 1
-    forward, left = max(-1.0, min(1.0, forward)), max(-1.0, min(1.0, left))
-    return Action(-left + 0.0, max(forward, 0.0), max(-forward, 0.0)), clamped
+    linear, angular = twist.linear.x, twist.angular.z
+    if not (math.isfinite(linear) and math.isfinite(angular)):
+        raise MessageError(f'twist with linear.x {linear} and angular.z {angular}')
+    return Command(linear, angular)
 
 
-def fill_twist(twist: object, action: Action) -> object:
-    """
-    Write an action into a geometry_msgs/Twist; return it.
-
-    Raises:
-        MessageError: gas and brake at once, which one signed number cannot carry.
-    """
-    steer, gas, brake = action
-    if gas > 0 and brake > 0:
-        raise MessageError(f'a twist cannot carry gas {gas} and brake {brake} at once')
-    twist.linear.x = float(gas - brake)
-    twist.angular.z = float(-steer + 0.0)
+def fill_twist(twist: object, command: Command) -> object:
+    """Write a command into a geometry_msgs/Twist; return it."""
+    twist.linear.x, twist.angular.z = map(float, command)
     return twist

@@ -11,7 +11,7 @@ from bags.writer import BagWriter
 from carracing_sim_node.drive import Drive
 from carracing_sim_node.settings import SimulatorSettings
 from msgs_bridge.topics import CLOCK, CMD_VEL, EPISODE, IMAGE, Q_VALUES, REWARD, STEP
-from msgs_bridge.twists import Action
+from msgs_bridge.twists import Command
 import numpy as np
 
 TYPES = typestore()
@@ -46,19 +46,19 @@ def bundle(nanoseconds: int, values: dict[str, float]) -> bytes:
                    np.array(list(map(float, values.values()))), EMPTY, EMPTY)
 
 
-def twist(nanoseconds: int, action: Action) -> bytes:
+def twist(nanoseconds: int, command: Command) -> bytes:
     vector, kind = (TYPES.types[f'geometry_msgs/msg/{name}'] for name in ('Vector3', 'Twist'))
     return message(CMD_VEL, header(nanoseconds), kind(
-        vector(action.gas - action.brake, 0.0, 0.0), vector(0.0, 0.0, -action.steer)))
+        vector(command.linear, 0.0, 0.0), vector(0.0, 0.0, command.angular)))
 
 
 def clock(nanoseconds: int) -> bytes:
     return message(CLOCK, stamp_of(nanoseconds))
 
 
-def scripted(decision: int) -> Action:
+def scripted(decision: int) -> Command:
     """Drive off the grass now and then, so that rewards and flags vary."""
-    return Action(0.3 * np.sin(decision / 7.0), 0.4 if decision % 3 else 0.0, 0.0)
+    return Command(0.4 if decision % 3 else 0.0, -0.3 * np.sin(decision / 7.0))
 
 
 class DriveRecorder:
@@ -118,16 +118,16 @@ def record_drive(
             if number >= skip_first:
                 recorder.frame(change(frame))
             number += 1
-            if frame.summary is not None:
+            if frame.ended:
                 break
-            action = drive_with(drive.decision)
+            command = drive_with(drive.decision)
             # a twist carries 64-bit numbers, so the simulator gets exactly these
             if number > skip_first:
-                recorder.put(CMD_VEL, twist(frame.stamp, action))
+                recorder.put(CMD_VEL, twist(frame.stamp, command))
                 recorder.put(Q_VALUES, bundle(frame.stamp, {
                     'left': 0.5, 'right': 1.5, 'chosen': 1, 'explored': 0,
                     'weights_version': 3}))
-            frame = drive.advance(action, frame.stamp)
+            frame = drive.advance(command, frame.stamp)
     recorder.writer.close()
     return folder
 

@@ -16,8 +16,9 @@ from msgs_bridge.named_values import read_named_values
 from msgs_bridge.node_shell import message_class
 from msgs_bridge.qos import qos_profile
 from msgs_bridge.stamps import to_nanoseconds
+from msgs_bridge.step import read_step
 from msgs_bridge.transitions import TransitionJoiner
-from msgs_bridge.twists import twist_to_action
+from msgs_bridge.twists import read_command
 import rclpy
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
@@ -122,10 +123,10 @@ class Graph(ProcessGroup):
                 to_nanoseconds(message.header.stamp), image_to_array(message))
         for message in self.messages[topics.CMD_VEL.name]:
             joined += joiner.add_twist(
-                to_nanoseconds(message.header.stamp), twist_to_action(message.twist)[0])
+                to_nanoseconds(message.header.stamp), read_command(message.twist))
         for message in self.messages[topics.STEP.name]:
             joined += joiner.add_step(
-                to_nanoseconds(message.header.stamp), read_named_values(message, ['reward']))
+                to_nanoseconds(message.header.stamp), read_step(read_named_values(message)))
         return joined, joiner
 
 

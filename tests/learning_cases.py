@@ -1,7 +1,8 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
 """A tiny agent and streams of transitions for the tests of learning."""
-from dqn_policy_node.action_sets import ACTION_SETS
+from dqn_policy_node.action_space import DUMMY_SPACE
+from msgs_bridge.step import read_step
 from msgs_bridge.transitions import Transition
 import numpy as np
 from trainer_node.hyperparameters import Hyperparameters
@@ -11,20 +12,21 @@ TINY = {
     'replay_capacity': 200, 'learning_starts': 20, 'batch_size': 8, 'weights_every': 10,
     'validation_every_episodes': 3, 'run_episodes': 0,
 }
-ACTIONS = ACTION_SETS['seed5'].actions
+COMMANDS = DUMMY_SPACE.commands
 
 
 def tiny(**changes):
     return Hyperparameters(**{**TINY, **changes})
 
 
-def make_facts(**changes):
-    return {
+def make_step(**changes):
+    return read_step({
         'reward': 0.0, 'terminated': 0.0, 'truncated': 0.0, 'lap_finished': 0.0,
         'left_field': 0.0, 'ended_early': 0.0, 'came_round': 0.0, 'episode': 0.0, 'decision': 0.0,
         'step': 0.0, 'episode_return': 0.0, 'tiles_visited': 0.0, 'tiles_total': 300.0,
         'tiles_missed': 0.0, 'lap_position': 0.0, 'wheels_off_road': 0.0, 'speed': 0.0,
-        'standing_still': 0.0, 'frames': 4.0, **changes}
+        'standing_still': 0.0, 'frames': 4.0, 'seed': -1.0, 'applied_sec': 0.0,
+        'applied_nanosec': 0.0, **changes})
 
 
 def stream(count, *, seed=0, episode_length=13, terminated_share=0.5):
@@ -32,7 +34,7 @@ def stream(count, *, seed=0, episode_length=13, terminated_share=0.5):
     random = np.random.default_rng(seed)
     stamp, episode, decision, total = 0, 0, 0, 0.0
     frame = random.integers(0, 256, (96, 96, 3), np.uint8)
-    previous = make_facts()
+    previous = make_step()
     for _ in range(count):
         next_frame = random.integers(0, 256, (96, 96, 3), np.uint8)
         decision += 1
@@ -40,16 +42,16 @@ def stream(count, *, seed=0, episode_length=13, terminated_share=0.5):
         total += reward
         ended = decision == episode_length
         terminated = float(ended and random.random() < terminated_share)
-        facts = make_facts(
+        step = make_step(
             reward=reward, terminated=terminated, truncated=float(ended) - terminated,
             lap_finished=terminated, episode=episode, decision=decision, step=4 * decision,
             episode_return=total, tiles_visited=float(decision), speed=20.0)
-        action = ACTIONS[random.integers(len(ACTIONS))]
+        command = COMMANDS[random.integers(len(COMMANDS))]
         next_stamp = stamp + 80_000_000
-        yield Transition(stamp, next_stamp, frame, next_frame, action, facts, previous)
-        stamp, frame, previous = next_stamp, next_frame, facts
+        yield Transition(stamp, next_stamp, frame, next_frame, command, step, previous)
+        stamp, frame, previous = next_stamp, next_frame, step
         if ended:
             stamp += 1_000_000_000
             episode, decision, total = episode + 1, 0, 0.0
             frame = random.integers(0, 256, (96, 96, 3), np.uint8)
-            previous = make_facts(episode=episode)
+            previous = make_step(episode=episode)

@@ -6,6 +6,7 @@ from collections import Counter
 import csv
 import dataclasses
 import json
+from pathlib import Path
 
 import av
 from bag_cases import bundle, DriveRecorder, image, record_drive, scripted, twist
@@ -20,8 +21,10 @@ from bags.transitions import bag_transitions
 from bags.verify import verify_bag
 from bags.writer import BagWriter
 from carracing_sim_node import make_env
+from carracing_sim_node.controls import controls
+from msgs_bridge.step import STEP_CORE
 from msgs_bridge.topics import CMD_VEL, IMAGE, STEP
-from msgs_bridge.twists import Action
+from msgs_bridge.twists import Command
 import numpy as np
 import pytest
 
@@ -52,10 +55,10 @@ def test_a_bag_joins_into_the_transitions_that_happened(drive):
     frame, _ = env.reset(seed=5)
     for number, transition in enumerate(transitions[:40]):
         assert np.array_equal(transition.frame, frame)
-        assert transition.action == scripted(number)
-        frame, reward, _, truncated, _ = env.step(transition.action)
+        assert transition.command == scripted(number)
+        frame, reward, _, truncated, _ = env.step(controls(transition.command))
         assert np.array_equal(transition.next_frame, frame)
-        assert transition.info['reward'] == reward
+        assert transition.step.reward == reward
         assert transition.truncated == truncated
     assert truncated
 
@@ -76,26 +79,26 @@ def test_without_stamped_twists_the_action_is_what_step_says(tmp_path, drive, tw
                 writer.write(plain, *message[1:3], data[:4] + data[-48:])
     found = list(bag_transitions([tmp_path / 'bag']))
     expected = list(bag_transitions([drive]))
-    assert [one.action for one in found] == [one.action for one in expected]
+    assert [one.command for one in found] == [one.command for one in expected]
     assert [one.stamp for one in found] == [one.stamp for one in expected]
 
 
 def test_a_damaged_message_drops_one_transition_and_no_other(tmp_path):
     recorder = DriveRecorder(tmp_path / 'bag')
-    facts = {'reward': 1.0, 'terminated': 0, 'truncated': 0, 'episode': 0, 'applied_nanosec': 0}
+    values = {**dict.fromkeys(STEP_CORE, 0), 'reward': 1.0}
     pixels = np.zeros((96, 96, 3), np.uint8)
     for number in range(6):
         stamp = (number + 1) * 10 ** 9
-        recorder.put(STEP, bundle(stamp, {**facts, 'decision': number, 'applied_sec': number}))
+        recorder.put(STEP, bundle(stamp, {**values, 'decision': number, 'applied_sec': number}))
         recorder.put(IMAGE, image(stamp, pixels))
         if number == 3:
-            recorder.put(CMD_VEL, twist(stamp, Action(float('nan'), 0.0, 0.0)))
+            recorder.put(CMD_VEL, twist(stamp, Command(0.0, float('nan'))))
         else:
-            recorder.put(CMD_VEL, twist(stamp, Action(0.1 * number, 0.0, 0.0)))
+            recorder.put(CMD_VEL, twist(stamp, Command(0.0, 0.1 * number)))
     recorder.writer.close()
     counts = Counter()
     found = list(bag_transitions([tmp_path / 'bag'], counts=counts))
-    assert [round(one.info['decision']) for one in found] == [1, 2, 3, 5]
+    assert [one.step.decision for one in found] == [1, 2, 3, 5]
     assert counts['rejected'] == counts['lost_twist'] == 1
 
 
@@ -179,7 +182,7 @@ def test_verify_finds_a_wrong_number(tmp_path, changes, told):
 
 
 def test_verify_finds_a_wrong_action_and_says_where_they_part(tmp_path):
-    found = falsified(tmp_path, 20, steer=-0.9)
+    found = falsified(tmp_path, 20, angular=0.9)
     assert found.resimulation.differing_frames == 20 + 1
     assert 'decision 20' in found.problems[0]
     assert found.problems[1] == '20 more frames differ'
@@ -200,7 +203,7 @@ def test_episodes_are_summed_up(tmp_path, drive):
     env.reset(seed=5)
     total = 0.0
     for number in range(40):
-        total += env.step(scripted(number))[1]
+        total += env.step(controls(scripted(number)))[1]
     assert first.episode_return == total
     bag = record_drive(tmp_path / 'bag', skip_first=10)
     with BagReader(bag) as reader:
@@ -232,7 +235,7 @@ def test_csv_has_a_row_per_frame_with_every_bit(tmp_path, drive):
     rows = list(csv.DictReader(path.open()))
     transitions = list(bag_transitions([drive]))
     assert [float(row['reward']) for row in rows[1:41]] == [
-        one.info['reward'] for one in transitions[:40]]
+        one.step.reward for one in transitions[:40]]
     assert rows[0]['q_right'] == '1.5'
     # the last frame of an episode leads to no decision
     assert rows[40]['q_right'] == ''
@@ -299,3 +302,15 @@ def test_quick_decoding_gives_what_full_decoding_gives(drive):
         for junk in (b'', b'\0\1', b'\0\1\0\0' + bytes(7), b'\xff' * 64):
             with pytest.raises(BagError):
                 decoder.decode(junk, 'x')
+
+
+def test_a_bag_of_version_0_1_is_verified_driven_again_and_learned_from():
+    bag = Path(__file__).parent / 'data' / 'bag_of_0_1'
+    found = verified(bag)
+    assert found.good and found.resimulation.frames == 2 * 13
+    assert found.resimulation.episodes == 2
+    transitions = list(bag_transitions([bag]))
+    assert [one.command for one in transitions[:12]] == [scripted(n) for n in range(12)]
+    assert all(one.step.info['linear'] == one.command.linear for one in transitions)
+    with BagReader(bag) as reader:
+        assert [episode.seed for episode in find_episodes(reader)] == [5, 6]

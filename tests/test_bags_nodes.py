@@ -130,8 +130,8 @@ def test_a_played_bag_records_into_the_same_transitions(graph, tmp_path):
     found = list(bag_transitions([tmp_path / 'again'], counts=counts))
     assert {name: count for name, count in counts.items() if count} == {'joined': 100}
     for one, other in zip(found, expected, strict=True):
-        assert (one.stamp, one.next_stamp, one.action, one.info, one.previous_info) == (
-            other.stamp, other.next_stamp, other.action, other.info, other.previous_info)
+        assert (one.stamp, one.next_stamp, one.command, one.step, one.previous) == (
+            other.stamp, other.next_stamp, other.command, other.step, other.previous)
         assert np.array_equal(one.frame, other.frame)
         assert np.array_equal(one.next_frame, other.next_frame)
     with BagReader(bag) as source, BagReader(tmp_path / 'again') as again:

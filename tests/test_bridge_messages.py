@@ -5,12 +5,13 @@ import math
 
 from geometry_msgs.msg import Twist
 from hypothesis import given, strategies
+from carracing_sim_node.controls import command_of, controls
 from msgs_bridge.errors import MessageError
 from msgs_bridge.images import fill_image, image_to_array
 from msgs_bridge.named_values import fill_named_values, read_named_values
 from msgs_bridge.stamps import to_nanoseconds
-from msgs_bridge.step_fields import STEP_FIELDS
-from msgs_bridge.twists import Action, fill_twist, twist_to_action
+from msgs_bridge.step import read_step, STEP_CORE
+from msgs_bridge.twists import Command, fill_twist, read_command
 import numpy as np
 import pytest
 from sensor_msgs.msg import Image, JointState
@@ -55,25 +56,24 @@ def test_an_image_that_lies_is_refused(change, words):
 
 
 @given(strategies.floats(-1, 1), strategies.floats(-1, 1))
-def test_an_action_survives_its_twist(steer, pedal):
-    action = Action(steer, max(pedal, 0.0), max(-pedal, 0.0))
-    back, clamped = twist_to_action(fill_twist(Twist(), action))
-    assert back == action and not clamped
+def test_a_command_survives_its_twist(steer, pedal):
+    command = Command(pedal, steer)
+    assert read_command(fill_twist(Twist(), command)) == command == command.clamped()
+    steer, gas, brake = controls(command)
+    assert command_of(steer, gas, brake) == command and not (gas and brake)
 
 
 def test_a_turn_to_the_left_is_positive_angular_z():
-    assert fill_twist(Twist(), Action(-1.0, 0.0, 0.0)).angular.z == 1.0
+    assert fill_twist(Twist(), command_of(-1.0, 0.0, 0.0)).angular.z == 1.0
 
 
 def test_twists_out_of_range_are_clamped_and_nan_is_refused():
     twist = Twist()
     twist.linear.x, twist.angular.z = 7.0, -3.0
-    assert twist_to_action(twist) == (Action(1.0, 1.0, 0.0), True)
+    assert controls(read_command(twist).clamped()) == (1.0, 1.0, 0.0)
     twist.angular.z = math.nan
     with pytest.raises(MessageError, match='nan'):
-        twist_to_action(twist)
-    with pytest.raises(MessageError, match='at once'):
-        fill_twist(Twist(), Action(0.0, 0.5, 0.5))
+        read_command(twist)
 
 
 def test_named_values():
@@ -81,10 +81,47 @@ def test_named_values():
     assert read_named_values(message, ['reward']) == {'reward': 3.25, 'step': 4.0}
     assert to_nanoseconds(message.header.stamp) == 5_000_000_007
     with pytest.raises(MessageError, match="lacks 'terminated'"):
-        read_named_values(message, STEP_FIELDS)
+        read_named_values(message, STEP_CORE)
     message.position[0] = math.inf
     with pytest.raises(MessageError, match='reward is inf'):
         read_named_values(message, ['reward'])
     message.position.pop()
     with pytest.raises(MessageError, match='2 names but 1 values'):
         read_named_values(message, ['reward'])
+
+
+GOOD = {**dict.fromkeys(STEP_CORE, 0.0), 'reward': 1.5, 'seed': -1.0, 'applied_sec': 3.0,
+        'applied_nanosec': 7.0, 'speed': 12.5}
+
+
+def test_a_step_is_its_core_and_whatever_else_was_said():
+    step = read_step(GOOD)
+    assert (step.reward, step.applied, step.info) == (1.5, 3_000_000_007, {'speed': 12.5})
+    assert not step.ended and read_step(step.values()) == step
+    assert read_step({**GOOD, 'applied_sec': -1.0}).applied is None
+    assert read_step({**GOOD, 'truncated': 1.0}).ended
+
+
+@pytest.mark.parametrize(('name', 'value', 'words'), [
+    ('reward', math.nan, 'reward is nan'), ('reward', 1e300, 'reward is 1e\\+300'),
+    ('speed', math.inf, 'speed is inf'), ('episode', -1.0, 'episode is -1'),
+    ('decision', 0.5, 'decision is 0.5'), ('episode', 1e12 ** 2, 'episode is 1e\\+24'),
+    ('seed', -2.0, 'seed is -2'), ('applied_sec', 1e12, 'applied_sec'),
+    ('applied_nanosec', 1e9, 'applied_nanosec'), ('x' * 101, 0.0, '101 characters'),
+])
+def test_a_step_that_cannot_be_is_refused(name, value, words):
+    with pytest.raises(MessageError, match=words):
+        read_step({**GOOD, name: value})
+    for core in STEP_CORE:
+        with pytest.raises(MessageError, match=f"lacks '{core}'"):
+            read_step({key: value for key, value in GOOD.items() if key != core})
+
+
+@given(strategies.dictionaries(
+    strategies.sampled_from([*STEP_CORE, 'speed', 'steer']), strategies.floats()))
+def test_no_step_raises_anything_but_our_error(values):
+    try:
+        step = read_step({**GOOD, **values})
+    except MessageError:
+        return
+    assert math.isfinite(step.reward) and all(map(math.isfinite, step.info.values()))

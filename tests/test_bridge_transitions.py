@@ -1,11 +1,13 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
 """Transitions joined by stamp, whatever the order of arrival and whatever is lost."""
+import dataclasses
 import itertools
 
 from hypothesis import given, settings, strategies
 from msgs_bridge.transitions import TransitionJoiner
-from msgs_bridge.twists import Action
+from msgs_bridge.step import read_step, STEP_CORE
+from msgs_bridge.twists import Command
 import numpy as np
 
 DECISION = 80_000_000
@@ -20,11 +22,12 @@ def drive(episodes=2, decisions=4):
         for decision in range(decisions + 1):
             applied = (-1, 0) if decision == 0 else divmod(stamp - DECISION, 10**9)
             images.append(('image', stamp, np.full((2, 2, 3), len(images), np.uint8)))
-            steps.append(('step', stamp, {
-                'episode': episode, 'decision': decision, 'reward': float(len(steps)),
+            steps.append(('step', stamp, read_step({
+                **dict.fromkeys(STEP_CORE, 0.0), 'episode': episode, 'decision': decision,
+                'reward': float(len(steps)),
                 'terminated': float(decision == decisions), 'truncated': 0.0,
-                'applied_sec': applied[0], 'applied_nanosec': applied[1]}))
-            twists.append(('twist', stamp, Action(decision / 10, 0.0, 0.0)))
+                'applied_sec': applied[0], 'applied_nanosec': applied[1]})))
+            twists.append(('twist', stamp, Command(0.0, decision / 10)))
             stamp += DECISION
     return images, steps, twists
 
@@ -45,9 +48,9 @@ def merge(order, lanes):
 
 
 def key(transition):
-    return (transition.stamp, transition.next_stamp, transition.action,
+    return (transition.stamp, transition.next_stamp, transition.command,
             int(transition.frame[0, 0, 0]), int(transition.next_frame[0, 0, 0]),
-            transition.info['reward'])
+            transition.step.reward)
 
 
 def test_every_transition_once_and_right():
@@ -55,9 +58,9 @@ def test_every_transition_once_and_right():
     assert len(joined) == 8
     first = joined[0]
     assert (first.stamp, first.next_stamp) == (10**9, 10**9 + DECISION)
-    assert first.action == Action(0.0, 0.0, 0.0) and joined[1].action.steer == 0.1
+    assert first.command == Command(0.0, 0.0) and joined[1].command.angular == 0.1
     assert int(first.frame[0, 0, 0]) == 0 and int(first.next_frame[0, 0, 0]) == 1
-    assert first.info['reward'] == 1.0 and not first.terminated
+    assert first.step.reward == 1.0 and not first.terminated
     assert [t.terminated for t in joined] == [False] * 3 + [True] + [False] * 3 + [True]
 
 
@@ -97,7 +100,7 @@ def test_resent_messages_change_nothing():
 
 def test_an_unanswered_frame_is_no_transition():
     images, steps, twists = drive(episodes=1)
-    steps[2][2]['applied_sec'] = -1
+    steps[2] = ('step', steps[2][1], dataclasses.replace(steps[2][2], applied=None))
     joiner = TransitionJoiner()
     assert len(feed(joiner, merge(list(range(3)) * 10, (images, steps, twists)))) == 3
     assert joiner.counts['unanswered'] == 1
@@ -116,6 +119,7 @@ def test_memory_is_bounded_when_a_topic_is_silent():
     joiner = TransitionJoiner(capacity=50)
     for number in range(1000):
         joiner.add_image(number, np.zeros((1, 1, 3), np.uint8))
-        joiner.add_step(number, {'episode': 0, 'decision': number, 'applied_sec': 0,
-                                 'applied_nanosec': number - 1})
+        joiner.add_step(number, read_step({
+            **dict.fromkeys(STEP_CORE, 0.0), 'decision': number,
+            'applied_nanosec': max(number - 1, 0)}))
     assert len(joiner._images.items) <= 50 and len(joiner._steps) <= 50

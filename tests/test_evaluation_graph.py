@@ -7,15 +7,16 @@ from carracing_dqn.evaluation.lap_series import drive_laps
 from carracing_dqn.evaluation.policies import PolicySource
 from carracing_dqn.evaluation.through_graph import consecutive, drive_laps_through_graph
 from msgs_bridge.errors import BridgeError
-from msgs_bridge.step_fields import EPISODE_FIELDS
+from msgs_bridge.step import EPISODE_CORE
 import pytest
 
 MODEL = PolicySource('model', 'some_model')
 
 
 def summary(seed):
-    return {**dict.fromkeys(EPISODE_FIELDS, 0.0), 'seed': float(seed), 'frames': 1000.0,
-            'episode_return': 900.1 + 1e-9, 'tiles_total': 300.0, 'lap_finished': 1.0}
+    return {**dict.fromkeys(EPISODE_CORE, 0.0), 'seed': float(seed), 'frames': 1000.0,
+            'episode_return': 900.1 + 1e-9, 'tiles_total': 300.0, 'lap_finished': 1.0,
+            'tiles_visited': 0.0, 'left_field': 0.0, 'standing_still': 0.0}
 
 
 def test_seeds_are_driven_in_stretches():

@@ -13,7 +13,7 @@ from carracing_dqn.evaluation.validator import validate
 from carracing_dqn.evaluation.workers import run_jobs
 from evaluation_cases import ByPixels, lap, Steady
 import gymnasium
-from msgs_bridge.step_fields import VALIDATION_FIELDS
+from msgs_bridge.step import VALIDATION_FIELDS
 import numpy as np
 import pytest
 

@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulator and policy as real processes over real DDS."""
 from carracing_sim_node import make_env
-from dqn_policy_node.action_sets import ACTION_SETS
+from carracing_sim_node.controls import controls
+from dqn_policy_node.action_space import ACTION_SPACES
 from dqn_policy_node.model_description import ModelDescription
 from dqn_policy_node.network import QNetwork
 from dqn_policy_node.weights_message import encode_weights
@@ -49,9 +50,9 @@ def test_every_transition_of_a_lockstep_drive_arrives_once_and_is_what_the_simul
         frame, _ = env.reset(seed=7 + episode)
         for transition in joined[30 * episode:30 * episode + 30]:
             assert np.array_equal(transition.frame, frame)
-            frame, reward, terminated, truncated, _ = env.step(transition.action)
+            frame, reward, terminated, truncated, _ = env.step(controls(transition.command))
             assert np.array_equal(transition.next_frame, frame)
-            assert transition.info['reward'] == reward
+            assert transition.step.reward == reward
             assert (transition.terminated, transition.truncated) == (terminated, truncated)
         assert truncated
 
@@ -61,7 +62,7 @@ def test_weights_from_a_topic_change_what_the_policy_does_and_bad_ones_do_not(gr
     weights, images = graph.publisher(topics.WEIGHTS), graph.publisher(topics.IMAGE)
     graph.node(*POLICY, model='')
     description = Hyperparameters(convolutions='8@8/4 8@4/2', hidden=16).model_description()
-    names = ACTION_SETS['seed5'].names
+    names = ACTION_SPACES['seed5'].names
     stamp = 0
 
     def publish(best, version, damage=False):
@@ -148,7 +149,7 @@ def test_twists_that_cannot_be_used_do_not_move_the_car(graph):
     twists.publish(twist(stamp, forward=3.0, left=-9.0))
     graph.spin_until(lambda: len(graph.messages['step']) == 2, 10, 'the good twist is answered')
     facts = dict(zip(graph.messages['step'][1].name, graph.messages['step'][1].position))
-    assert (facts['steer'], facts['gas'], facts['brake']) == (1.0, 1.0, 0.0)
+    assert (facts['linear'], facts['angular']) == (1.0, -1.0)
     graph.spin_until(lambda: graph.health('carracing_sim_node').get('clamped_twists') == '1',
                      10, 'the clamped twist is counted')
 
@@ -239,7 +240,7 @@ def test_real_time_runs_by_the_wall_clock_and_lets_go_of_a_stale_twist(graph):
     twists.publish(twist(to_nanoseconds(graph.messages['step'][-1].header.stamp), forward=1.0))
     graph.spin_until(
         lambda: graph.health('carracing_sim_node').get('stale_twists') == '1', 10, 'stale')
-    gas = [dict(zip(m.name, m.position))['gas'] for m in graph.messages['step']]
+    gas = [dict(zip(m.name, m.position))['linear'] for m in graph.messages['step']]
     assert max(gas) == 1.0 and gas[-1] == 0.0
     assert 5 <= sum(g > 0 for g in gas) <= 20
 

@@ -120,7 +120,7 @@ def test_a_recorded_run_holds_every_transition_that_was_learned_from(preset, tmp
     joined = list(bag_transitions([run / 'bag']))
     assert learned == 300 and len(joined) >= 300
     returns = [float(row['train_reward']) for row in rows(run / 'episodes.csv')]
-    ends = [t.info['episode_return'] for t in joined if t.terminated or t.truncated]
+    ends = [t.step.episode_return for t in joined if t.step.ended]
     # the CSV has six digits
     assert ends[:len(returns)] == pytest.approx(returns, rel=1e-5)
     again = tmp_path / 'again'
@@ -140,8 +140,8 @@ def test_run_drives_laps_and_leaves_a_bag(tmp_path):
     assert '2 laps' in result.stdout
     joined = list(bag_transitions([output / 'bag']))
     ends = [t for t in joined if t.terminated or t.truncated]
-    assert [t.info['seed'] for t in ends] == [420, 421]
-    assert len(joined) == sum(t.info['decision'] for t in ends)
+    assert [t.step.seed for t in ends] == [420, 421]
+    assert len(joined) == sum(t.step.decision for t in ends)
 
 
 @pytest.mark.parametrize('words, error', [

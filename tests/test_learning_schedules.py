@@ -5,7 +5,7 @@ import dataclasses
 import math
 
 from dqn_policy_node.errors import ModelError
-from learning_cases import make_facts, tiny
+from learning_cases import make_step, tiny
 from msgs_bridge.errors import SettingsError
 from msgs_bridge.settings import describe
 import pytest
@@ -84,31 +84,31 @@ def test_a_high_ratio_gives_several_updates_for_one_transition():
 
 
 def test_without_weights_the_reward_is_the_environments_own():
-    facts = make_facts(reward=3.25, tiles_missed=4, wheels_off_road=1, standing_still=90,
-                       speed=50, lap_finished=1, ended_early=1, left_field=1)
-    assert shaped_reward(tiny(), facts, make_facts()) == 3.25
+    after = make_step(reward=3.25, tiles_missed=4, wheels_off_road=1, standing_still=90,
+                      speed=50, lap_finished=1, ended_early=1, left_field=1)
+    assert shaped_reward(tiny(), after, make_step()) == 3.25
 
 
 def test_each_term_by_hand():
     own = tiny(tile_missed_penalty=10, off_road_penalty=0.1, progress_weight=30, speed_weight=0.5,
                time_penalty=0.2, finish_bonus=20, left_field_refund=90, early_end_penalty=7,
                position_weight=60)
-    facts = make_facts(tiles_missed=5, lap_position=15, tiles_visited=12, wheels_off_road=0.5,
-                       speed=40, lap_finished=1, left_field=1, ended_early=1, frames=3, reward=1)
-    before = make_facts(tiles_missed=3, tiles_visited=10, lap_position=20)
-    terms = shaping_terms(own, facts, before)
+    after = make_step(tiles_missed=5, lap_position=15, tiles_visited=12, wheels_off_road=0.5,
+                      speed=40, lap_finished=1, left_field=1, ended_early=1, frames=3, reward=1)
+    before = make_step(tiles_missed=3, tiles_visited=10, lap_position=20)
+    terms = shaping_terms(own, after, before)
     assert terms == pytest.approx({
         'tile_missed': -20, 'off_road': -0.15, 'standing': 0, 'progress': 0.2, 'position': -1.0,
         'speed': 0.6,
         'time': -0.6, 'finish': 20, 'left_field': 90, 'early_end': -7})
     scaled = dataclasses.replace(own, reward_scale=0.1)
-    assert shaped_reward(scaled, facts, before) == (
+    assert shaped_reward(scaled, after, before) == (
         pytest.approx(0.1 * (1 + sum(terms.values()))))
 
 
 def test_who_comes_round_is_paid_whatever_was_missed_and_not_fined_for_the_end():
-    came = make_facts(ended_early=1, came_round=1)
-    terms = shaping_terms(tiny(finish_bonus=20, early_end_penalty=7), came, make_facts())
+    came = make_step(ended_early=1, came_round=1)
+    terms = shaping_terms(tiny(finish_bonus=20, early_end_penalty=7), came, make_step())
     assert (terms['finish'], terms['early_end']) == (20, 0)
 
 
@@ -116,12 +116,12 @@ def test_the_penalty_of_one_decision_for_missed_tiles_has_a_limit():
     own = tiny(tile_missed_penalty=10, tile_missed_limit=25)
     for missed, points in ((1, -10), (2, -20), (3, -25), (40, -25)):
         assert shaping_terms(
-            own, make_facts(tiles_missed=missed), make_facts())['tile_missed'] == points
+            own, make_step(tiles_missed=missed), make_step())['tile_missed'] == points
 
 
 def test_a_missed_tile_that_is_fetched_gives_its_points_back():
     own = tiny(tile_missed_penalty=10)
-    back = shaping_terms(own, make_facts(tiles_missed=1), make_facts(tiles_missed=2))
+    back = shaping_terms(own, make_step(tiles_missed=1), make_step(tiles_missed=2))
     assert back['tile_missed'] == 10
 
 

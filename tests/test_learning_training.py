@@ -8,10 +8,10 @@ import json
 
 from dqn_policy_node.model_folder import load_model
 from dqn_policy_node.weights_message import decode_weights
-from learning_cases import make_facts, stream, tiny
+from learning_cases import make_step, stream, tiny
 from msgs_bridge import atomic_write
 from msgs_bridge.errors import MessageError
-from msgs_bridge.twists import Action
+from msgs_bridge.twists import Command
 import numpy as np
 import pytest
 import torch
@@ -211,7 +211,7 @@ def test_a_stamp_that_does_not_follow_starts_a_new_stretch(tmp_path):
 def test_an_action_that_is_none_of_ours_is_left_out(tmp_path):
     training = create(tmp_path / 'run')
     transitions = list(stream(8))
-    transitions[4] = dataclasses.replace(transitions[4], action=Action(0.123, 0.0, 0.0))
+    transitions[4] = dataclasses.replace(transitions[4], command=Command(0.0, 0.123))
     for index, transition in enumerate(transitions):
         if index == 4:
             with pytest.raises(MessageError, match='no action of'):
@@ -227,12 +227,12 @@ def test_ends_are_kept_apart(tmp_path):
     for terminal in (False, True):
         training = create(tmp_path / f'run{terminal}', early_end_terminal=terminal)
         first = next(iter(stream(1)))
-        facts = make_facts(truncated=1.0, ended_early=1.0)
-        training.add(dataclasses.replace(first, info=facts))
+        step = make_step(truncated=1.0, ended_early=1.0)
+        training.add(dataclasses.replace(first, step=step))
         batch = training.buffer.sample(4, np.random.default_rng(0))
         assert batch.discounts[0] == pytest.approx(0.0 if terminal else 0.99)
     training = create(tmp_path / 'run3')
-    training.add(dataclasses.replace(first, info=make_facts(terminated=1.0)))
+    training.add(dataclasses.replace(first, step=make_step(terminated=1.0)))
     assert training.buffer.sample(1, np.random.default_rng(0)).discounts[0] == 0.0
 
 
@@ -305,7 +305,7 @@ def test_another_network_is_refused_with_what_differs(tmp_path):
     training.save()
     for changes, text in (
         ({'hidden': 16}, 'network.hidden is 16, not 8'),
-        ({'action_set': 'grid9'}, 'action_set'),
+        ({'action_space': 'grid9'}, 'action_space'),
         ({'replay_capacity': 300}, 'replay_capacity is 300, not 200'),
         ({'weight_average': 0.9}, 'weight_average is 0.9, not 0.0'),
     ):
@@ -356,8 +356,8 @@ def test_nan_stops_learning_and_the_state_can_still_be_saved(tmp_path):
     with pytest.raises(LearningError, match='update .*: the loss is nan'):
         for index, transition in enumerate(stream(200)):
             if index > 30:
-                facts = {**transition.info, 'reward': float('nan')}
-                transition = dataclasses.replace(transition, info=facts)
+                step = dataclasses.replace(transition.step, reward=float('nan'))
+                transition = dataclasses.replace(transition, step=step)
             training.add(transition)
     assert training.save().is_file()
 

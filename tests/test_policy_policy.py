@@ -6,7 +6,7 @@ import subprocess
 import sys
 
 from dqn_policy_node import load_policy, ModelError, Policy, RandomPolicy
-from dqn_policy_node.action_sets import ACTION_SETS
+from dqn_policy_node.action_space import ACTION_SPACES
 from dqn_policy_node.model_description import (
     ModelDescription, Network, parse_convolutions, Preprocessing,
 )
@@ -19,7 +19,7 @@ import torch
 
 DESCRIPTION = ModelDescription(
     Network(parse_convolutions('4@4/4 4@3/2'), 8, dropout=0.5), Preprocessing(shrink=4), 3,
-    ACTION_SETS['seed5'], 4)
+    ACTION_SPACES['seed5'], 0.08, 0.08)
 
 
 def frames(count):
@@ -39,7 +39,7 @@ def test_act_decides_once_and_holds():
     policy.reset()
     observations = frames(12)
     acted = [policy.act(frame) for frame in observations]
-    decided = [tuple(other.decide(frame).action) for frame in observations[::4]]
+    decided = [other.decide(frame).command for frame in observations[::4]]
     assert acted == [action for action in decided for _ in range(4)]
     assert all(isinstance(value, float) for value in acted[0])
 
@@ -59,7 +59,7 @@ def test_a_decision_is_the_best_q_value():
     policy = Policy(DESCRIPTION)
     decision = policy.decide(frames(1)[0])
     assert decision.index == decision.q_values.argmax()
-    assert decision.action == DESCRIPTION.action_set.actions[decision.index]
+    assert decision.command == DESCRIPTION.action_space.decode(decision.index)
     assert decision.explored is False
     assert decision.q_values.shape == (5,)
     assert policy.action_names == ('none', 'left', 'right', 'gas', 'brake')
@@ -118,8 +118,8 @@ def test_swapped_weights_act_from_the_next_decision_on():
 def test_weights_of_another_model_are_refused():
     update = weights(1)
     other = ModelDescription(
-        DESCRIPTION.network, DESCRIPTION.preprocessing, 3, ACTION_SETS['grid9'], 4)
-    with pytest.raises(ModelError, match='another model: action_set'):
+        DESCRIPTION.network, DESCRIPTION.preprocessing, 3, ACTION_SPACES['grid9'], 0.08, 0.08)
+    with pytest.raises(ModelError, match='another model: action_space'):
         Policy(other).swap_weights(update)
 
 
@@ -130,12 +130,12 @@ def test_load_policy_is_greedy_and_has_the_version(tmp_path):
 
 
 def test_the_dummy_agent_draws_all_actions_alike():
-    policy = RandomPolicy(ACTION_SETS['seed5'], action_repeat=1, seed=3)
+    policy = RandomPolicy(ACTION_SPACES['seed5'], action_repeat=1, seed=3)
     frame = frames(1)[0]
     counts = np.bincount([policy.decide(frame).index for _ in range(1000)], minlength=5)
     assert counts.min() > 150
     policy.reset(seed=3)
-    assert policy.act(frame) in ACTION_SETS['seed5'].actions
+    assert policy.act(frame) in ACTION_SPACES['seed5'].commands
 
 
 def test_dropout_drops_its_share_and_only_when_asked():

@@ -6,7 +6,7 @@ import json
 import os
 
 from dqn_policy_node import model_folder
-from dqn_policy_node.action_sets import ACTION_SETS
+from dqn_policy_node.action_space import ACTION_SPACES
 from dqn_policy_node.errors import ModelError
 from dqn_policy_node.model_description import (
     ModelDescription, Network, parse_convolutions, Preprocessing,
@@ -26,7 +26,8 @@ def make_description(**changes):
     values = {
         'network': Network(parse_convolutions('4@4/4 4@3/2'), 8, True),
         'preprocessing': Preprocessing(shrink=4), 'frame_stack': 2,
-        'action_set': ACTION_SETS['seed5'], 'action_repeat': 4}
+        'action_space': ACTION_SPACES['seed5'], 'action_seconds': 0.08,
+        'stack_seconds': 0.08}
     return ModelDescription(**{**values, **changes})
 
 
@@ -128,7 +129,7 @@ def test_a_damaged_folder_names_the_file_in_one_line(folder, damage, text):
 
 def test_a_description_changed_by_hand_does_not_match_its_hash(folder):
     record = json.loads((folder / 'model.json').read_text())
-    record['description']['action_repeat'] = 2
+    record['description']['action_seconds'] = 0.04
     (folder / 'model.json').write_text(json.dumps(record))
     with pytest.raises(ModelError, match='description does not match its hash'):
         load_model(folder)
@@ -181,8 +182,8 @@ def test_every_flipped_byte_and_every_cut_is_noticed(description, tensors):
 
 def test_weights_for_another_model_say_what_differs(description, tensors):
     data = encode_weights(tensors, description, version=1)
-    with pytest.raises(ModelError, match='another model: action_repeat is 4, not 2'):
-        decode_weights(data, make_description(action_repeat=2))
+    with pytest.raises(ModelError, match='another model: action_seconds is 0.08, not 0.04'):
+        decode_weights(data, make_description(action_seconds=0.04))
 
 
 @pytest.mark.parametrize(('values', 'text'), [
@@ -211,7 +212,7 @@ def test_foreign_tensors_are_refused(description, tensors, change, text):
 
 
 def test_what_is_no_weights_image_at_all_is_refused(description, tensors):
-    with pytest.raises(ModelError, match='is not a .carracing_dqn weights 1'):
+    with pytest.raises(ModelError, match='is not a .carracing_dqn weights 2'):
         decode_weights(pack(tensors, {}), description)
     with pytest.raises(ModelError, match='header of'):
         decode_weights(b'\xff' * 100)

@@ -14,9 +14,9 @@ from typing import Any
 
 import yaml
 
-from dqn_policy_node.action_sets import ACTION_SETS, action_set
+from dqn_policy_node.action_space import ACTION_SPACES, action_space
 from dqn_policy_node.model_description import (
-    GRAYS, ModelDescription, Network, parse_convolutions, Preprocessing, ROADS,
+    GRAYS, MAX_FRAME_SIDE, ModelDescription, Network, parse_convolutions, Preprocessing, ROADS,
 )
 from dqn_policy_node.share import share_path
 from msgs_bridge.errors import SettingsError
@@ -43,10 +43,18 @@ class Hyperparameters:
     gray: str = setting(
         'mean', 'how rgb becomes gray; the mean of the channels in the report (2.1)',
         choices=GRAYS)
-    first_row: int = setting(0, 'first row of the frame that is kept', low=0, high=95)
-    rows: int = setting(96, 'rows that are kept', low=1, high=96)
-    first_column: int = setting(0, 'first column of the frame that is kept', low=0, high=95)
-    columns: int = setting(96, 'columns that are kept', low=1, high=96)
+    frame_height: int = setting(
+        96, 'rows of a frame of the simulator', low=1, high=MAX_FRAME_SIDE)
+    frame_width: int = setting(
+        96, 'columns of a frame of the simulator', low=1, high=MAX_FRAME_SIDE)
+    first_row: int = setting(
+        0, 'first row of the frame that is kept', low=0, high=MAX_FRAME_SIDE - 1)
+    rows: int = setting(
+        0, 'rows that are kept; 0 = all from the first on', low=0, high=MAX_FRAME_SIDE)
+    first_column: int = setting(
+        0, 'first column of the frame that is kept', low=0, high=MAX_FRAME_SIDE - 1)
+    columns: int = setting(
+        0, 'columns that are kept; 0 = all from the first on', low=0, high=MAX_FRAME_SIDE)
     shrink: int = setting(
         1, 'side in pixels of the squares that are averaged into one', low=1, high=8)
     road: str = setting(
@@ -54,11 +62,13 @@ class Hyperparameters:
         '(AMD-RIPS 2018 hid them, too), or with more contrast', choices=ROADS)
     frame_stack: int = setting(
         1, 'observations the network sees at once; the report names one (2.1)', low=1, high=16)
-    action_set: str = setting(
-        'seed5', 'the discrete actions; the five of the report are seed5 (2.2.2)',
-        choices=tuple(ACTION_SETS))
+    action_space: str = setting(
+        'seed5', 'what the outputs of the network mean; the five actions of the report are seed5 '
+        '(2.2.2)', choices=tuple(ACTION_SPACES))
+    frame_seconds: float = setting(
+        0.02, 'simulated seconds of one frame of the simulator', low=1e-4, high=1.0)
     action_repeat: int = setting(
-        1, 'simulator frames (1/50 s) an action is held while learning; the report names none',
+        1, 'simulator frames an action is held while learning; the report names none',
         low=1, high=50)
     drive_repeat: int = setting(
         0, 'simulator frames an action is held in validation and by the finished model; '
@@ -234,12 +244,14 @@ class Hyperparameters:
             network=Network(
                 parse_convolutions(self.convolutions), self.hidden, self.dueling, self.dropout),
             preprocessing=Preprocessing(
-                self.first_row, self.rows, self.first_column, self.columns, self.gray,
-                self.road, self.shrink),
+                self.frame_height, self.frame_width, self.first_row,
+                self.rows or self.frame_height - self.first_row, self.first_column,
+                self.columns or self.frame_width - self.first_column, self.gray, self.road,
+                self.shrink),
             frame_stack=self.frame_stack,
-            action_set=action_set(self.action_set),
-            action_repeat=self.drive_repeat or self.action_repeat,
-            stack_frames=self.action_repeat,
+            action_space=action_space(self.action_space),
+            action_seconds=(self.drive_repeat or self.action_repeat) * self.frame_seconds,
+            stack_seconds=self.action_repeat * self.frame_seconds,
         )
 
 

@@ -29,9 +29,9 @@ from msgs_bridge.images import image_to_array
 from msgs_bridge.named_values import read_named_values
 from msgs_bridge.node_shell import Finished, NodeShell, run_node
 from msgs_bridge.stamps import to_nanoseconds
-from msgs_bridge.step_fields import STEP_FIELDS, VALIDATION_FIELDS
+from msgs_bridge.step import read_step, VALIDATION_FIELDS
 from msgs_bridge.transitions import Transition, TransitionJoiner
-from msgs_bridge.twists import twist_to_action
+from msgs_bridge.twists import read_command
 from std_msgs.msg import UInt8MultiArray
 from std_srvs.srv import SetBool, Trigger
 from trainer_node.open_run import read_overrides, run_settings
@@ -130,12 +130,12 @@ class TrainerNode(NodeShell):
         self._put(self._joiner.add_image(to_nanoseconds(message.header.stamp), frame))
 
     def _on_step(self, message: object) -> None:
-        facts = read_named_values(message, STEP_FIELDS)
-        self._put(self._joiner.add_step(to_nanoseconds(message.header.stamp), facts))
+        step = read_step(read_named_values(message))
+        self._put(self._joiner.add_step(to_nanoseconds(message.header.stamp), step))
 
     def _on_twist(self, message: object) -> None:
-        action, _ = twist_to_action(message.twist)
-        self._put(self._joiner.add_twist(to_nanoseconds(message.header.stamp), action))
+        command = read_command(message.twist)
+        self._put(self._joiner.add_twist(to_nanoseconds(message.header.stamp), command))
 
     def _put(self, transitions: list[Transition]) -> None:
         room = OVERRUN * self.settings.queue_limit - len(self._waiting)

@@ -55,7 +55,7 @@ class ReplayBuffer:
 
     def __init__(
         self, capacity: int, shape: tuple[int, int], *, frame_stack: int = 1, n_steps: int = 1,
-        gamma: float = 0.99, mirrored: tuple[int, ...] | None = None,
+        gamma: float = 0.99, mirrored: np.ndarray | None = None,
     ) -> None:
         """Reserve the memory; pages are taken as they are filled."""
         self.capacity = capacity

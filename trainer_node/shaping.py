@@ -8,45 +8,47 @@ learned from with any shaping. With all weights at zero the reward is the enviro
 """
 from __future__ import annotations
 
+from collections import defaultdict
 import math
 
+from msgs_bridge.step import Step
 from trainer_node.hyperparameters import Hyperparameters
 
-Facts = dict[str, float]
 
-
-def shaping_terms(settings: Hyperparameters, facts: Facts, previous: Facts) -> dict[str, float]:
+def shaping_terms(
+    settings: Hyperparameters, step: Step, previous_step: Step,
+) -> dict[str, float]:
     """
     Return the points of each term for one transition.
 
     Args:
         settings: the weights.
-        facts: `step` fields of the frame after the action.
-        previous: `step` fields of the frame before it.
+        step: of the frame after the action.
+        previous_step: of the frame before it.
 
     Returns:
         Points by name; the sum is added to the reward.
     """
-    frames = facts['frames']
-    missed = facts['tiles_missed'] - previous['tiles_missed']
-    visited = facts['tiles_visited'] - previous['tiles_visited']
-    # bags of before these fields have none
-    came_round = facts.get('came_round', 0.0)
-    driven = facts.get('lap_position', 0.0) - previous.get('lap_position', 0.0)
-    tiles = max(facts['tiles_total'], 1.0)
+    info, previous = defaultdict(float, step.info), defaultdict(float, previous_step.info)
+    frames = info['frames']
+    missed = info['tiles_missed'] - previous['tiles_missed']
+    visited = info['tiles_visited'] - previous['tiles_visited']
+    came_round = info['came_round']
+    driven = info['lap_position'] - previous['lap_position']
+    tiles = max(info['tiles_total'], 1.0)
     return {
         # a tile that is fetched later gives its points back
         'tile_missed': -min(
             settings.tile_missed_penalty * missed, settings.tile_missed_limit),
-        'off_road': -settings.off_road_penalty * facts['wheels_off_road'] * frames,
-        'standing': -standing_points(settings, int(facts['standing_still']), int(frames)),
+        'off_road': -settings.off_road_penalty * info['wheels_off_road'] * frames,
+        'standing': -standing_points(settings, int(info['standing_still']), int(frames)),
         'progress': settings.progress_weight * visited / tiles,
         'position': settings.position_weight * driven / tiles,
-        'speed': settings.speed_weight * facts['speed'] / 100 * frames,
+        'speed': settings.speed_weight * info['speed'] / 100 * frames,
         'time': -settings.time_penalty * frames,
-        'finish': settings.finish_bonus * max(facts['lap_finished'], came_round),
-        'left_field': settings.left_field_refund * facts['left_field'],
-        'early_end': -settings.early_end_penalty * facts['ended_early'] * (1 - came_round),
+        'finish': settings.finish_bonus * max(info['lap_finished'], came_round),
+        'left_field': settings.left_field_refund * info['left_field'],
+        'early_end': -settings.early_end_penalty * info['ended_early'] * (1 - came_round),
     }
 
 
@@ -70,7 +72,7 @@ def standing_points(settings: Hyperparameters, standing: int, frames: int) -> fl
         for frame in range(max(standing - frames, 0), standing))
 
 
-def shaped_reward(settings: Hyperparameters, facts: Facts, previous: Facts) -> float:
+def shaped_reward(settings: Hyperparameters, step: Step, previous: Step) -> float:
     """Return what is learned from: the environment's reward and all terms, scaled."""
-    terms = shaping_terms(settings, facts, previous)
-    return settings.reward_scale * (facts['reward'] + math.fsum(terms.values()))
+    terms = shaping_terms(settings, step, previous)
+    return settings.reward_scale * (step.reward + math.fsum(terms.values()))

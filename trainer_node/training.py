@@ -26,7 +26,7 @@ from dqn_policy_node.weights_message import encode_weights
 from msgs_bridge.atomic_write import write_text
 from msgs_bridge.errors import BridgeError, MessageError
 from msgs_bridge.settings import from_mapping
-from msgs_bridge.step_fields import VALIDATION_FIELDS
+from msgs_bridge.step import Step, VALIDATION_FIELDS
 from msgs_bridge.transitions import Transition
 from trainer_node import schedules
 from trainer_node.checkpoint_file import read_checkpoint, write_checkpoint
@@ -100,7 +100,8 @@ class Training:
         self.buffer = ReplayBuffer(
             settings.replay_capacity, self.description.preprocessing.shape,
             frame_stack=settings.frame_stack, n_steps=settings.n_steps, gamma=settings.gamma,
-            mirrored=self.description.action_set.mirrored() if settings.flips else None)
+            mirrored=self.description.action_space.mirror(
+                np.arange(len(self.description.action_space))) if settings.flips else None)
         self._blocks = ObservationBlocks(folder.checkpoint.parent)
         self.limiter = ReplayRatioLimiter(
             settings.samples_per_transition, settings.batch_size, settings.learning_starts)
@@ -219,11 +220,11 @@ class Training:
 
         Raises:
             LearningError: the loss is not finite.
-            MessageError: the action is none of the set, or the frame has another size; the
+            MessageError: the command is no action of the space, or the frame has another size; the
                 transition is left out.
         """
         try:
-            index = self.description.action_set.nearest(transition.action)
+            action = self.description.action_space.encode(transition.command)
         except MessageError:
             self.foreign_actions += 1
             self._next_stamp = -1
@@ -231,12 +232,12 @@ class Training:
         next_observation = self._preprocess(transition.next_frame)
         if transition.stamp != self._next_stamp:
             self.buffer.start(self._preprocess(transition.frame))
-        facts = transition.info
-        reward = shaped_reward(self.settings, facts, transition.previous_info)
+        step = transition.step
+        reward = shaped_reward(self.settings, step, transition.previous)
         terminated = transition.terminated or bool(
-            self.settings.early_end_terminal and facts['ended_early'])
-        self.buffer.add(index, reward, next_observation, terminated=terminated)
-        ended = transition.terminated or transition.truncated
+            self.settings.early_end_terminal and step.info.get('ended_early'))
+        self.buffer.add(action, reward, next_observation, terminated=terminated)
+        ended = step.ended
         self._next_stamp = -1 if ended else transition.next_stamp
         self.decisions += 1
         self.limiter.insert()
@@ -244,7 +245,7 @@ class Training:
         while self.limiter.due():
             self._update()
         if ended:
-            self._end_episode(facts)
+            self._end_episode(step)
         self._look_at_validation(ended)
         return self.learner.updates - before
 
@@ -271,10 +272,10 @@ class Training:
             'epsilon': self.epsilon, 'wall_seconds': seconds,
             'updates_per_second': self._updates_per_second})
 
-    def _end_episode(self, facts: dict[str, float]) -> None:
+    def _end_episode(self, step: Step) -> None:
         epsilon = self.epsilon
         self.episodes += 1
-        reward = facts['episode_return']
+        reward, info = step.episode_return, step.info
         self._returns.append(reward)
         self._learning_rate.episode_ended(reward)
         if (self.settings.target_update == 'episodes'
@@ -284,10 +285,11 @@ class Training:
         self._tracking.episode({
             'episode': self.episodes - 1, 'train_reward': reward,
             'validation_reward': self._new_validation, 'epsilon': epsilon,
-            'learning_rate': self._learning_rate.value, 'frames': facts['step'],
-            'decisions': self.decisions, 'lap_finished': facts['lap_finished'],
-            'ended_early': facts['ended_early'], 'tiles_visited': facts['tiles_visited'],
-            'tiles_total': facts['tiles_total'], 'standing_still': facts['standing_still'],
+            'learning_rate': self._learning_rate.value, 'frames': info.get('step'),
+            'decisions': self.decisions, 'lap_finished': info.get('lap_finished'),
+            'ended_early': info.get('ended_early'), 'tiles_visited': info.get('tiles_visited'),
+            'tiles_total': info.get('tiles_total'),
+            'standing_still': info.get('standing_still'),
             **means, 'updates': self.learner.updates, 'replay_size': len(self.buffer),
             'replay_ratio': self.limiter.ratio, 'weights_version': self.version,
             'wall_seconds': self.wall_seconds})

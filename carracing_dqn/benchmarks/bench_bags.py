@@ -30,7 +30,7 @@ from bags.read_ahead import ReadAhead
 from bags.reader import BagReader
 from bags.schemas import schema_of
 from bags.writer import BagWriter
-from msgs_bridge.step_fields import STEP_FIELDS
+from msgs_bridge.step import STEP_CORE, STEP_INFO
 from msgs_bridge.topics import CLOCK, CMD_VEL, IMAGE, Q_VALUES, REWARD, STEP
 
 DECISIONS = 6000
@@ -78,7 +78,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 def make_messages(decisions: int) -> list[list[bytes]]:
     """Return the serialized messages of each decision, in the order of TOPICS."""
-    from carracing_sim_node import make_env
+    from carracing_sim_node import info_fields, make_env
     types = typestore()
     names = {topic: types.types[topic.type_name] for topic in TOPICS}
     time_type, header_type = (types.types[name] for name in (
@@ -91,7 +91,7 @@ def make_messages(decisions: int) -> list[list[bytes]]:
     for number in range(decisions):
         stamp = time_type(*divmod(number * FRAME_NS, 10 ** 9))
         header = header_type(stamp, 'car_top_down')
-        facts = list(STEP_FIELDS)
+        facts = [*STEP_CORE, *STEP_INFO, *info_fields.STEP_INFO]
         decision = (
             names[IMAGE](header, 96, 96, 'rgb8', 0, 288, frame.reshape(-1)),
             names[STEP](header, facts, np.full(len(facts), float(number)), empty, empty),

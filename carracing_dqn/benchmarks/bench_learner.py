@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from dqn_policy_node.action_sets import action_set
+from dqn_policy_node.action_space import action_space, DUMMY_SPACE
 from dqn_policy_node.model_description import ModelDescription
 from trainer_node.hyperparameters import Hyperparameters, load_preset
 from trainer_node.learner import Learner
@@ -60,7 +60,7 @@ def ours(settings: Hyperparameters) -> Update:
         if number % 250 == 0:
             buffer.start(observation)
         else:
-            buffer.add(int(random.integers(len(action_set(settings.action_set)))),
+            buffer.add(int(random.integers(len(action_space(settings.action_space)))),
                        float(random.normal()), observation, terminated=False)
     return lambda: learner.update(
         buffer.sample(settings.batch_size, random), settings.learning_rate)
@@ -79,7 +79,7 @@ def stable_baselines() -> Update | None:
         """Spaces and nothing else."""
 
         observation_space = gymnasium.spaces.Box(0, 255, (STACK, SIDE, SIDE), np.uint8)
-        action_space = gymnasium.spaces.Discrete(len(action_set('seed5')))
+        action_space = gymnasium.spaces.Discrete(len(DUMMY_SPACE))
 
     model = DQN('CnnPolicy', Still(), buffer_size=HELD, batch_size=BATCH, device='cpu', seed=0,
                 target_update_interval=10_000)
@@ -103,7 +103,7 @@ def update_operations(description: ModelDescription, batch: int, *, double: bool
         width = (width - layer.kernel) // layer.stride + 1
         layers.append(height * width * layer.filters * channels * layer.kernel ** 2)
         channels = layer.filters
-    hidden, actions = description.network.hidden, len(description.action_set)
+    hidden, actions = description.network.hidden, len(description.action_space)
     layers += [channels * height * width * hidden, hidden * actions]
     forward = 2 * batch * sum(layers)
     # target forward, online forward, gradient by weights and by inputs (not by the observations)

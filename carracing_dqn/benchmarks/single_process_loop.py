@@ -22,6 +22,7 @@ from carracing_sim_node.settings import SimulatorSettings
 from dqn_policy_node.policy import Policy
 from dqn_policy_node.weights_message import decode_weights
 from carracing_dqn.evaluation.validator import validate
+from msgs_bridge.step import read_step
 from msgs_bridge.transitions import Transition
 from trainer_node.hyperparameters import load_preset
 from trainer_node.open_run import read_overrides
@@ -60,15 +61,15 @@ def learn(
                     judge, range(first, first + settings.validation_tracks),
                     version=update.version))
                 report(training.status())
-        if frame is None or frame.summary is not None:
+        if frame is None or frame.ended:
             frame = drive.begin()
             policy.reset()
         before = frame
-        action = policy.decide(before.pixels).action
-        frame = drive.advance(action, before.stamp)
+        command = policy.decide(before.pixels).command
+        frame = drive.advance(command, before.stamp)
         training.add(Transition(
-            before.stamp, frame.stamp, before.pixels, frame.pixels, action, frame.facts,
-            before.facts))
+            before.stamp, frame.stamp, before.pixels, frame.pixels, command,
+            read_step(frame.facts), read_step(before.facts)))
         if training.checkpoint_due():
             training.save()
         if time.monotonic() - reported > 10:

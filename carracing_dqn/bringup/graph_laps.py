@@ -21,7 +21,7 @@ LAST_SUMMARY_SECONDS = 2.0
 
 def run_graph(model: str, seeds: range, bag: Path | None) -> Iterator[dict[str, float]]:
     """
-    Drive one lap a seed in lockstep; yield the summary of each, `EPISODE_FIELDS`.
+    Drive one lap a seed in lockstep; yield the summary of each, an `episode` message.
 
     Args:
         model: model folder, or 'random', which then draws from the first seed.

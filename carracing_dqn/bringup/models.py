@@ -3,6 +3,7 @@
 """Models by name, as the commands take them."""
 from __future__ import annotations
 
+from carracing_sim_node.controls import FRAME_SECONDS
 from dqn_policy_node.share import find_model
 from msgs_bridge.errors import BridgeError
 
@@ -42,4 +43,4 @@ def action_repeat(model: str) -> int:
     if model == RANDOM:
         return 1
     from dqn_policy_node.model_folder import load_model
-    return load_model(model).description.action_repeat
+    return round(load_model(model).description.action_seconds / FRAME_SECONDS)

@@ -11,7 +11,7 @@ from msgs_bridge import topics
 from msgs_bridge.named_values import read_named_values
 from msgs_bridge.node_shell import keep_discovery_local, message_class
 from msgs_bridge.qos import qos_profile
-from msgs_bridge.step_fields import EPISODE_FIELDS, VALIDATION_FIELDS
+from msgs_bridge.step import EPISODE_CORE, VALIDATION_FIELDS
 import rclpy
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
@@ -86,7 +86,9 @@ class Monitor:
         self._thread.join(timeout=1.0)
 
     def _on_episode(self, message: object) -> None:
-        self.state.episodes.append(read_named_values(message, EPISODE_FIELDS))
+        episode = read_named_values(message, EPISODE_CORE)
+        if episode['terminated'] or episode['truncated']:
+            self.state.episodes.append(episode)
 
     def _on_validation(self, message: object) -> None:
         self.state.validations.append(read_named_values(message, VALIDATION_FIELDS))

@@ -8,6 +8,7 @@ from pathlib import Path
 from bags.transitions import bag_transitions
 from carracing_dqn.evaluation.lap_picture import draw_lap
 from carracing_dqn.evaluation.trajectory import RecordedActions
+from carracing_sim_node.controls import controls
 
 
 def draw_recorded_laps(bag: Path, folder: Path) -> list[Path]:
@@ -25,14 +26,14 @@ def draw_recorded_laps(bag: Path, folder: Path) -> list[Path]:
     pictures: list[Path] = []
     actions: list[tuple[float, float, float]] = []
     for transition in bag_transitions([bag]):
-        facts = transition.info
-        if transition.previous_info['decision'] == 0:
+        step = transition.step
+        if transition.previous.decision == 0:
             actions = []
         # what was applied, held for as many frames as the simulator drove
-        actions += [(facts['steer'], facts['gas'], facts['brake'])] * int(facts['frames'])
-        whole = (transition.terminated or transition.truncated) and len(actions) == facts['step']
-        if whole and facts['seed'] >= 0:
-            path = folder / f'lap-{facts["seed"]:.0f}.png'
-            draw_lap(RecordedActions(actions), int(facts['seed']), path)
+        actions += [controls(transition.command)] * int(step.info['frames'])
+        whole = step.ended and len(actions) == step.info['step']
+        if whole and step.seed >= 0:
+            path = folder / f'lap-{step.seed}.png'
+            draw_lap(RecordedActions(actions), step.seed, path)
             pictures.append(path)
     return pictures

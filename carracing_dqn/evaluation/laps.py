@@ -9,10 +9,12 @@ import math
 import time
 from typing import Any, Protocol
 
+from carracing_sim_node.controls import controls
 from carracing_sim_node.simulation import STANDING_SPEED
 from carracing_dqn.evaluation.errors import PolicyError
 from carracing_dqn.evaluation.simulators import draws_on_request, world_of
 import gymnasium
+from msgs_bridge.twists import Command
 import numpy as np
 
 RETURN_DIGITS = 6
@@ -36,7 +38,7 @@ Watch = Callable[[Any, float], None]
 @dataclasses.dataclass(frozen=True)
 class Lap:
     """
-    One episode and how it went; names as in `step_fields.EPISODE_FIELDS`.
+    One episode and how it went; names as in `episode` message.
 
     Attributes:
         seed: seed of the track (and of a policy that draws at random).
@@ -124,6 +126,8 @@ def checked_action(action: Any) -> np.ndarray:
         PolicyError: not three numbers, not finite, or out of range.
     """
     try:
+        if isinstance(action, Command):
+            action = controls(action)
         steer, gas, brake = (float(value) for value in action)
     except (TypeError, ValueError):
         raise PolicyError(

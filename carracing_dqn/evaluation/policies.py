@@ -13,6 +13,7 @@ import sys
 from typing import Any
 
 from carracing_dqn.evaluation.errors import PolicyError
+from carracing_sim_node.controls import FRAME_SECONDS
 
 RANDOM = 'random'
 MODEL = 'model'
@@ -107,8 +108,9 @@ class PolicySource:
                 'weights_sha256': hashlib.sha256(
                     (Path(self.model) / WEIGHTS_FILE).read_bytes()).hexdigest(),
                 'description_sha256': description.sha256(),
-                'action_set': description.action_set.name,
-                'action_repeat': self.action_repeat or description.action_repeat,
+                'action_set': description.action_space.name,
+                'action_repeat': self.action_repeat or round(
+                    description.action_seconds / FRAME_SECONDS),
                 'version': model.version,
             }
         if self.kind == RANDOM:
@@ -155,8 +157,8 @@ def parse_policy(text: str, model: str, device: str = 'cpu') -> PolicySource:
 
 
 def _random_policy() -> Any:
-    from dqn_policy_node import ACTION_SETS, RandomPolicy
-    policy = RandomPolicy(ACTION_SETS[DUMMY_ACTION_SET])
+    from dqn_policy_node import ACTION_SPACES, RandomPolicy
+    policy = RandomPolicy(ACTION_SPACES[DUMMY_ACTION_SET])
     policy.looks_at_frames = False
     return policy
 

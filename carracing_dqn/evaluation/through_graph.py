@@ -21,7 +21,7 @@ RunGraph = Callable[[str, range, 'Path | None'], Iterator[Mapping[str, float]]]
 Drives a model (folder, or 'random' with the seed of its track) over topics.
 
 Takes the model, consecutive seeds of tracks and a folder for a bag or None; yields the summary of
-every episode, `step_fields.EPISODE_FIELDS`, as it ends.
+every episode, `episode` message, as it ends.
 """
 
 

@@ -19,7 +19,7 @@ def validate(
     should_stop: Callable[[], bool] | None = None,
 ) -> dict[str, float]:
     """
-    Drive one greedy lap a seed; return `step_fields.VALIDATION_FIELDS`.
+    Drive one greedy lap a seed; return `step.VALIDATION_FIELDS`.
 
     From here on torch uses one thread in this process: more gain nothing with one frame at a
     time, and take the cores from the trainer and the simulator.
