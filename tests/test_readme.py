@@ -1,6 +1,6 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
-"""README says what the code says."""
+"""README and the pages say what the code says."""
 from pathlib import Path
 import re
 
@@ -10,11 +10,14 @@ from carracing_dqn.bringup.reference_tables import SETTINGS, with_tables
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / 'README.md').read_text(encoding='utf-8')
+PAGES = (ROOT / 'README.md', ROOT / 'CONTRIBUTING.md', *sorted((ROOT / 'docs').glob('*.md')))
 
 
 def test_the_tables_are_those_of_the_code():
-    assert with_tables(README) == README, (
-        'run python -m carracing_dqn.bringup.reference_tables README.md')
+    for page in PAGES:
+        text = page.read_text(encoding='utf-8')
+        assert with_tables(text) == text, (
+            f'run python -m carracing_dqn.bringup.reference_tables {page.relative_to(ROOT)}')
     for name in ('topics', *SETTINGS):
         assert f'<!-- table: {name} -->' in README
 
@@ -25,5 +28,6 @@ def test_every_command_and_node_is_named():
 
 
 def test_the_files_that_are_linked_are_there():
-    for target in re.findall(r'\]\(([^)#:]+)\)', README):
-        assert (ROOT / target).exists(), target
+    for page in PAGES:
+        for target in re.findall(r'\]\(([^)#:]+)\)', page.read_text(encoding='utf-8')):
+            assert (page.parent / target).exists(), f'{page.name}: {target}'

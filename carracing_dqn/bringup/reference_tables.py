@@ -1,10 +1,10 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Tables of topics and parameters in README, made from where they are declared.
+Tables of topics, fields and parameters in the documentation, made from where they are declared.
 
-`python -m carracing_dqn.bringup.reference_tables README.md` writes them anew between
-their markers; a test holds README to them.
+`python -m carracing_dqn.bringup.reference_tables README.md docs/*.md` writes them anew between
+their markers; a test holds the pages to them.
 """
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ from pathlib import Path
 import re
 import sys
 
+from carracing_sim_node import info_fields
+from msgs_bridge import step
 from msgs_bridge.atomic_write import write_text
 from msgs_bridge.settings import markdown_table
 from msgs_bridge.topics import TOPICS
@@ -24,6 +26,15 @@ SETTINGS = {
     'validation_node': ('carracing_dqn.evaluation.settings', 'ValidationSettings'),
     'bag_recorder_node': ('bags.settings', 'RecorderSettings'),
     'bag_player_node': ('bags.settings', 'PlayerSettings'),
+}
+FIELDS = {
+    'step_core': step.STEP_CORE,
+    'step_info': step.STEP_INFO,
+    'episode_core': step.EPISODE_CORE,
+    'q_value_extras': step.Q_VALUE_EXTRAS,
+    'validation': step.VALIDATION_FIELDS,
+    'carracing_info': info_fields.STEP_INFO,
+    'carracing_constants': info_fields.CONSTANTS,
 }
 MARKED = re.compile(r'(<!-- table: (\w+) -->\n).*?(<!-- end -->)', re.DOTALL)
 
@@ -41,7 +52,10 @@ def topics_table() -> str:
 
 
 def table(name: str) -> str:
-    """Return the table of a marker: `topics`, or the parameters of a node."""
+    """Return the table of a marker: `topics`, fields of a bundle, or parameters of a node."""
+    if name in FIELDS:
+        rows = [f'| `{field}` | {text} |' for field, text in FIELDS[name].items()]
+        return '\n'.join(['| name | meaning |', '|---|---|', *rows])
     if name == 'topics':
         return topics_table()
     module, settings = SETTINGS[name]
