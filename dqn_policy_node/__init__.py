@@ -12,9 +12,8 @@ _PLACES = {
     'ModelError': 'errors',
     'Policy': 'policy',
     'RandomPolicy': 'policy',
-    'find_model': 'share',
+    'find_model': 'shipped_models',
     'load_policy': 'policy',
-    'share_path': 'share',
 }
 
 __all__ = list(_PLACES)

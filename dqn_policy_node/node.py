@@ -23,7 +23,7 @@ from dqn_policy_node.device import choose_device
 from dqn_policy_node.pilot import Pilot
 from dqn_policy_node.policy import load_policy, Policy, RandomPolicy
 from dqn_policy_node.settings import PolicySettings
-from dqn_policy_node.share import find_model
+from dqn_policy_node.shipped_models import find_model
 from dqn_policy_node.weights_message import decode_weights
 from geometry_msgs.msg import Twist, TwistStamped
 from msgs_bridge import topics

@@ -19,6 +19,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from msgs_bridge import topics
 from msgs_bridge.transport.arrival import Bell
 from msgs_bridge.errors import BridgeError, MessageError, SettingsError
+from msgs_bridge.host_only import stay_on_this_host
 from msgs_bridge.qos import qos_profile
 from msgs_bridge.settings import check_value, describe, from_mapping
 from msgs_bridge.transport.time_slices import shorten_time_slices
@@ -54,11 +55,6 @@ def message_class(type_name: str) -> type:
     """Return the message class of `package/msg/Type`."""
     package, kind, name = type_name.split('/')
     return getattr(importlib.import_module(f'{package}.{kind}'), name)
-
-
-def keep_discovery_local() -> None:
-    """Stay on this host unless the user has said otherwise: nobody else drives the car."""
-    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
 
 
 class PolledGroup(CallbackGroup):
@@ -265,9 +261,9 @@ def run_node(make_node: Callable[[], NodeShell], args: list[str] | None = None) 
     A `BridgeError` while starting or running ends it with one line and code 2, an unexpected
     error with its traceback and code 1, anything else with code 0.
     """
-    keep_discovery_local()
     code = 0
     try:
+        stay_on_this_host()
         _spin_to_the_end(make_node, args)
     except BridgeError as error:
         sys.stderr.write(f'error: {error}\n')

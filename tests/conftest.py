@@ -4,9 +4,11 @@
 import itertools
 import os
 
+from msgs_bridge.host_only import stay_on_this_host
 import pytest
 
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+stay_on_this_host()
 os.environ.setdefault('ROS_DOMAIN_ID', str(1 + os.getpid() % 100))
 os.environ['OMP_NUM_THREADS'] = '1'
 

@@ -148,7 +148,7 @@ def test_presets_say_only_what_is_known_and_survive_yaml(name, tmp_path):
 
 
 def test_the_report_preset_names_every_number_that_it_could_change():
-    from dqn_policy_node.share import share_path
+    from msgs_bridge.share import share_path
     values = yaml.safe_load(share_path('config/report.yaml').read_text())
     unused = {'learning_rate_hold', 'epsilon_decisions', 'standing_growth', 'standing_limit',
               'tile_missed_limit', 'early_end_terminal'}

@@ -42,22 +42,6 @@ def test_the_layout_lets_ament_find_the_package(tmp_path, monkeypatch):
     assert not (share / 'launch').is_symlink()
 
 
-def test_the_setup_file_keeps_discovery_on_this_host_unless_told_otherwise(tmp_path):
-    lay_out(tmp_path, ROOT)
-    (tmp_path / 'bin').mkdir()
-    (tmp_path / 'bin' / 'activate').write_text('')
-    script = f'. {tmp_path}/setup.bash; echo $AMENT_PREFIX_PATH $ROS_AUTOMATIC_DISCOVERY_RANGE'
-
-    def source(**environment):
-        return subprocess.run(
-            ['bash', '-c', script], env={'PATH': os.environ['PATH'], **environment},
-            capture_output=True, text=True, check=True).stdout.split()
-
-    assert source() == [str(tmp_path), 'LOCALHOST']
-    assert source(ROS_AUTOMATIC_DISCOVERY_RANGE='SUBNET', AMENT_PREFIX_PATH='/opt/ros') == [
-        f'{tmp_path}:/opt/ros', 'SUBNET']
-
-
 @pytest.mark.skipif(not shutil.which('colcon', path=BIN), reason='colcon is not installed')
 @pytest.mark.parametrize('options', [(), ('--symlink-install',)], ids=['copied', 'linked'])
 def test_colcon_builds_it_as_an_ament_python_package(tmp_path, options):

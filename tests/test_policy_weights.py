@@ -14,10 +14,11 @@ from dqn_policy_node.model_description import (
 from dqn_policy_node.model_folder import load_model, Model, save_model
 from dqn_policy_node.network import QNetwork
 from dqn_policy_node.safetensors_image import pack
-from dqn_policy_node.share import find_model, share_path
+from dqn_policy_node.shipped_models import find_model
 from dqn_policy_node.weights_message import (
     decode_weights, encode_weights, is_marked, read_description,
 )
+from msgs_bridge.share import share_path
 import pytest
 import torch
 

@@ -18,9 +18,9 @@ from dqn_policy_node.action_space import ACTION_SPACES, action_space
 from dqn_policy_node.model_description import (
     GRAYS, MAX_FRAME_SIDE, ModelDescription, Network, parse_convolutions, Preprocessing, ROADS,
 )
-from dqn_policy_node.share import share_path
 from msgs_bridge.errors import SettingsError
 from msgs_bridge.settings import from_mapping, setting
+from msgs_bridge.share import share_path
 
 MAX_PRESET_BYTES = 2**20
 

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from carracing_sim_node.controls import FRAME_SECONDS
-from dqn_policy_node.share import find_model
+from dqn_policy_node.shipped_models import find_model
 from msgs_bridge.errors import BridgeError
 
 RANDOM = 'random'

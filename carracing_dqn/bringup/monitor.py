@@ -8,8 +8,9 @@ import dataclasses
 import threading
 
 from msgs_bridge import topics
+from msgs_bridge.host_only import stay_on_this_host
 from msgs_bridge.named_values import read_named_values
-from msgs_bridge.node_shell import keep_discovery_local, message_class
+from msgs_bridge.node_shell import message_class
 from msgs_bridge.qos import qos_profile
 from msgs_bridge.step import EPISODE_CORE, VALIDATION_FIELDS
 import rclpy
@@ -55,7 +56,7 @@ class Monitor:
 
     def __init__(self, namespace: str = '') -> None:
         """Join the graph; signals stay with the caller."""
-        keep_discovery_local()
+        stay_on_this_host()
         self.state = GraphState()
         self._context = Context()
         rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)

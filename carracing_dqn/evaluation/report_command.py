@@ -24,6 +24,7 @@ from carracing_dqn.evaluation.trajectory import drive_trajectory, Trajectory
 from carracing_dqn.evaluation.workers import limit_torch_threads
 from msgs_bridge.atomic_write import write_text
 from msgs_bridge.errors import BridgeError
+from msgs_bridge.share import share_path
 from rich.console import Console
 
 SEED = 'seed'
@@ -104,7 +105,6 @@ def main(arguments: argparse.Namespace) -> int:
 def _find(text: str) -> Path:
     """Return a run folder, or the folder of a shipped model of that name."""
     if not Path(text).expanduser().is_dir():
-        from dqn_policy_node import share_path
         with contextlib.suppress(FileNotFoundError):
             return share_path(Path('models') / text)
     return Path(text).expanduser()

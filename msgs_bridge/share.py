@@ -1,13 +1,11 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
-"""Where the files are that come with the package: models and presets."""
+"""Where the files are that come with the package: models, presets and the DDS profile."""
 from __future__ import annotations
 
 import os
 from pathlib import Path
 import sys
-
-from dqn_policy_node.errors import ModelError
 
 PACKAGE = 'carracing_dqn'
 
@@ -35,20 +33,3 @@ def share_path(relative: Path | str) -> Path:
             return folder / relative
     places = ', '.join(map(str, share_folders()))
     raise FileNotFoundError(f'{relative} is in none of {places}')
-
-
-def find_model(name_or_path: Path | str) -> Path:
-    """
-    Return the folder of a model: a path, or the name of one that comes with the package.
-
-    Raises:
-        ModelError: there is neither.
-    """
-    path = Path(name_or_path).expanduser()
-    if (path / 'model.json').is_file():
-        return path
-    try:
-        return share_path(Path('models') / name_or_path)
-    except FileNotFoundError:
-        raise ModelError(f'no model folder {str(name_or_path)!r}, neither as a path nor among '
-                         'the models of the package') from None

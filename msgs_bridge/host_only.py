@@ -1,0 +1,88 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Keeps the graph on this host unless its user opens it; docs/security.md says what that means.
+
+`ROS_AUTOMATIC_DISCOVERY_RANGE` is the one switch: SUBNET (or SYSTEM_DEFAULT) opens, anything else
+keeps closed. The range alone closes nothing: it says whom this process looks for, while its
+sockets hear every address, so that whoever names this host in `ROS_STATIC_PEERS` gets in. A
+profile of ours keeps the sockets of Fast DDS on the loopback address.
+
+`python -m msgs_bridge.host_only` prints the same for a shell to evaluate, for tools that are not
+ours.
+"""
+from __future__ import annotations
+
+from collections.abc import MutableMapping
+import os
+from pathlib import Path
+import shlex
+import socket
+import sys
+
+from msgs_bridge.errors import BridgeError
+from msgs_bridge.share import share_path
+
+RANGE = 'ROS_AUTOMATIC_DISCOVERY_RANGE'
+OPEN = ('SUBNET', 'SYSTEM_DEFAULT')
+PROFILE = Path('config/only_this_host.xml')
+
+PROFILE_VARIABLE = 'FASTRTPS_DEFAULT_PROFILES_FILE'
+"""Where Fast DDS 2 is told of a profile."""
+
+SKIP_VARIABLE = 'SKIP_DEFAULT_XML_FILE'
+"""Keeps Fast DDS from a profile that happens to lie in the current folder."""
+
+
+def stay_on_this_host() -> None:
+    """
+    Set the environment for DDS, before `rclpy.init`; child processes inherit it.
+
+    Raises:
+        BridgeError: the loopback interface is down, so that no node would find another.
+    """
+    _set(os.environ)
+    if PROFILE_VARIABLE in os.environ and _is_ours(os.environ[PROFILE_VARIABLE]):
+        _check_loopback()
+
+
+def _set(environment: MutableMapping[str, str]) -> None:
+    discovery = environment.setdefault(RANGE, 'LOCALHOST')
+    profile = environment.get(PROFILE_VARIABLE)
+    if discovery not in OPEN and not profile:
+        environment[PROFILE_VARIABLE] = str(share_path(PROFILE).absolute())
+        environment[SKIP_VARIABLE] = '1'
+    elif discovery in OPEN and profile and _is_ours(profile):
+        # set by a parent or a shell before its user opened the range
+        del environment[PROFILE_VARIABLE]
+        environment.pop(SKIP_VARIABLE, None)
+
+
+def _is_ours(profile: str) -> bool:
+    return Path(profile).name == PROFILE.name
+
+
+def _check_loopback() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
+        try:
+            one.bind(('127.0.0.1', 0))
+            one.sendto(b'', one.getsockname())
+        except OSError as error:
+            raise BridgeError(
+                f'the loopback interface does not carry messages ({error.strerror}), and nodes on '
+                'one host find each other through it: `ip link set lo up` brings it up') from None
+
+
+def _shell_lines() -> str:
+    """Return what `stay_on_this_host` changes, as lines for a shell."""
+    before = dict(os.environ)
+    after = dict(before)
+    _set(after)
+    lines = [f'export {name}={shlex.quote(value)}' for name, value in after.items()
+             if before.get(name) != value]
+    lines += [f'unset {name}' for name in before if name not in after]
+    return '\n'.join(lines)
+
+
+if __name__ == '__main__':
+    sys.stdout.write(_shell_lines() + '\n')

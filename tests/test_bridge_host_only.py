@@ -1,0 +1,158 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""Nobody off this host gets in by default, tried from another one: a network namespace."""
+import json
+import os
+from pathlib import Path
+import shutil
+import subprocess
+import sys
+
+from carracing_dqn.bringup.environment import lay_out
+from msgs_bridge.host_only import PROFILE, PROFILE_VARIABLE, RANGE, SKIP_VARIABLE
+from msgs_bridge.host_only import stay_on_this_host
+from msgs_bridge.share import share_path
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+HERE, THERE = '10.77.0.1', '10.77.0.2'
+# what an outsider does: look for nodes and their services with every means that ROS has
+OUTSIDER = """
+import json, os, sys, time, rclpy
+rclpy.init()
+node = rclpy.create_node('outsider')
+until = time.monotonic() + float(sys.argv[1])
+names = set()
+while time.monotonic() < until and len(names) < 1:
+    rclpy.spin_once(node, timeout_sec=0.1)
+    names = set(node.get_node_names()) - {'outsider'}
+print(json.dumps(sorted(names)), flush=True)
+os._exit(0)
+"""
+# every "host" has shared memory of its own
+ON_A_HOST = 'mount -t tmpfs tmpfs /dev/shm && exec "$@"'
+
+
+def clean_environment(**changed):
+    """Return the environment as a user has it, who has said nothing about DDS."""
+    kept = {name: value for name, value in os.environ.items()
+            if name not in (RANGE, PROFILE_VARIABLE, SKIP_VARIABLE, 'ROS_STATIC_PEERS')}
+    return {**kept, **changed}
+
+
+def ip(*words):
+    return subprocess.run(['ip', *words], capture_output=True, text=True)
+
+
+@pytest.fixture(scope='module')
+def hosts():
+    """Two network namespaces with a wire between them."""
+    if os.geteuid() != 0 or not shutil.which('ip'):
+        pytest.skip('needs root and iproute2 to make network namespaces')
+    names = [f'host{os.getpid()}{side}' for side in 'ab']
+    try:
+        for name in names:
+            if ip('netns', 'add', name).returncode:
+                pytest.skip('network namespaces are not allowed here')
+        wire = ip('link', 'add', 'wire', 'netns', names[0], 'type', 'veth',
+                  'peer', 'name', 'wire', 'netns', names[1])
+        if wire.returncode:
+            pytest.skip(f'no pair of network devices to be had here: {wire.stderr.strip()}')
+        for name, address in zip(names, (HERE, THERE)):
+            for words in (['addr', 'add', f'{address}/24', 'dev', 'wire'],
+                          ['link', 'set', 'wire', 'up'], ['link', 'set', 'lo', 'up'],
+                          ['route', 'add', '224.0.0.0/4', 'dev', 'wire']):
+                assert not ip('-n', name, *words).returncode, words
+        yield names
+    finally:
+        for name in names:
+            ip('netns', 'del', name)
+
+
+def on(host, *command):
+    return ['ip', 'netns', 'exec', host, 'sh', '-c', ON_A_HOST, 'sh', *command]
+
+
+@pytest.mark.parametrize(('said', 'seen'), [
+    ({}, []),
+    ({RANGE: 'LOCALHOST', 'ROS_STATIC_PEERS': THERE}, []),
+    ({RANGE: 'SUBNET'}, ['bag_recorder_node']),
+], ids=['by default', 'static peers alone', 'opened'])
+def test_an_outsider_sees_a_node_only_where_its_user_has_opened_it(hosts, said, seen, tmp_path):
+    here, there = hosts
+    node = subprocess.Popen(
+        on(here, sys.executable, '-m', 'bags.recorder_node', '--ros-args', '-p',
+           f'folder:={tmp_path / "bag"}'),
+        stdout=subprocess.DEVNULL, env=clean_environment(**said))
+    try:
+        same_host = ['nsenter', '-t', str(node.pid), '-m', '-n']
+        assert look(same_host, 20, **{RANGE: 'LOCALHOST'}) == ['bag_recorder_node']
+        assert look(on(there), 5, **{RANGE: 'SUBNET', 'ROS_STATIC_PEERS': HERE}) == seen
+    finally:
+        node.kill()
+        node.wait()
+
+
+def look(prefix, seconds, **environment):
+    """Return the nodes that a process with rclpy and nothing of ours sees."""
+    done = subprocess.run(
+        [*prefix, sys.executable, '-c', OUTSIDER, str(seconds)], capture_output=True, text=True,
+        timeout=60, env=clean_environment(**environment))
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def environment_after(monkeypatch, **given):
+    for name in (RANGE, PROFILE_VARIABLE, SKIP_VARIABLE):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in given.items():
+        monkeypatch.setenv(name, value)
+    stay_on_this_host()
+    return os.environ.get(RANGE), os.environ.get(PROFILE_VARIABLE)
+
+
+def test_one_switch_opens_and_a_profile_of_the_users_own_stays(monkeypatch):
+    profile = str(share_path(PROFILE))
+    assert environment_after(monkeypatch) == ('LOCALHOST', profile)
+    assert os.environ[SKIP_VARIABLE] == '1'
+    # what rcl does not know it takes for LOCALHOST
+    assert environment_after(monkeypatch, **{RANGE: 'subnet'}) == ('subnet', profile)
+    assert environment_after(monkeypatch, **{RANGE: 'SUBNET'}) == ('SUBNET', None)
+    # a child of a closed process whose user has opened the range
+    assert environment_after(
+        monkeypatch, **{RANGE: 'SUBNET', PROFILE_VARIABLE: profile}) == ('SUBNET', None)
+    for discovery in ('LOCALHOST', 'SUBNET'):
+        own = {RANGE: discovery, PROFILE_VARIABLE: '/etc/own.xml'}
+        assert environment_after(monkeypatch, **own) == (discovery, '/etc/own.xml')
+
+
+def test_the_setup_file_does_the_same_for_tools_that_are_not_ours(tmp_path):
+    lay_out(tmp_path, ROOT)
+    (tmp_path / 'bin').mkdir()
+    (tmp_path / 'bin' / 'activate').write_text('')
+    (tmp_path / 'bin' / 'python').write_text(f'#!/bin/sh\nexec {sys.executable} "$@"\n')
+    (tmp_path / 'bin' / 'python').chmod(0o755)
+    source = f'. {tmp_path}/setup.bash;'
+    show = f'echo $AMENT_PREFIX_PATH ${RANGE} ${PROFILE_VARIABLE};'
+
+    def say(script, **environment):
+        return subprocess.run(
+            ['bash', '-c', script], env={'PATH': os.environ['PATH'], **environment}, cwd=ROOT,
+            capture_output=True, text=True, check=True).stdout.split()
+
+    profile = str(tmp_path / 'share/carracing_dqn' / PROFILE)
+    assert say(source + show) == [str(tmp_path), 'LOCALHOST', profile]
+    assert say(source + show, **{RANGE: 'SUBNET', 'AMENT_PREFIX_PATH': '/opt/ros'}) == [
+        f'{tmp_path}:/opt/ros', 'SUBNET']
+    opened = say(f'{source} export {RANGE}=SUBNET; {source} echo {RANGE} ${PROFILE_VARIABLE}')
+    assert opened == [RANGE]
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason='only root may make a network namespace')
+def test_a_node_says_so_where_the_loopback_interface_is_down():
+    done = subprocess.run(
+        ['unshare', '-n', sys.executable, '-m', 'dqn_policy_node'], capture_output=True,
+        text=True, timeout=60, env=clean_environment())
+    if done.stderr.startswith('unshare'):
+        pytest.skip(done.stderr)
+    assert done.returncode == 2
+    assert len(done.stderr.splitlines()) == 1 and 'ip link set lo up' in done.stderr
