@@ -18,7 +18,8 @@ from bags.read_ahead import ReadAhead
 from bags.messages import BagMessage
 from bags.reader import BagReader
 from bags.settings import ALL, names_of, PlayerSettings
-from msgs_bridge.node_shell import Finished, message_class, NodeShell, run_node
+from msgs_bridge.message_types import message_class
+from msgs_bridge.node_shell import Finished, NodeShell, run_node
 from msgs_bridge.stamps import set_stamp
 from msgs_bridge.topics import CLOCK, TOPICS
 from rclpy.duration import Duration

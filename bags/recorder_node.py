@@ -28,7 +28,8 @@ from bags.qos_text import offered_qos
 from bags.recording import Recording
 from bags.settings import ALL, names_of, RecorderSettings
 from bags.writer import BagWriter
-from msgs_bridge.node_shell import message_class, NodeShell, PolledGroup, run_node
+from msgs_bridge.message_types import message_class
+from msgs_bridge.node_shell import NodeShell, PolledGroup, run_node
 from msgs_bridge.topics import TOPICS
 
 # The middleware keeps what arrives between two looks; a look costs the same for one message as

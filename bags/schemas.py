@@ -9,14 +9,12 @@ file, then every type it depends on, depth first, sorted, each once, below a lin
 """
 from __future__ import annotations
 
-from collections.abc import Iterator
 import dataclasses
 import functools
 import json
-import os
-from pathlib import Path
 import re
-import sys
+
+from msgs_bridge.message_types import share_file
 
 DELIMITER = '=' * 80
 PRIMITIVES = frozenset((
@@ -24,7 +22,6 @@ PRIMITIVES = frozenset((
     'uint32', 'int64', 'uint64', 'string', 'wstring'))
 # `type name`, `type[3] name`, `string<=10[<=5] name default`, `int32 CONSTANT=1`
 FIELD = re.compile(r'^(?P<type>[A-Za-z][A-Za-z0-9_/]*)(?:<=\d+)?(?:\[(?:<=)?\d*\])?\s+[A-Za-z]')
-TYPE_NAME = re.compile(r'^[a-z][a-z0-9_]*/msg/[A-Za-z][A-Za-z0-9_]*$')
 
 
 @dataclasses.dataclass(frozen=True)
@@ -91,32 +88,12 @@ def _dependencies(type_name: str, text: str) -> set[str]:
     return found
 
 
-def _share_folders() -> Iterator[Path]:
-    """Yield where message packages may be installed: the ament prefixes, then this Python."""
-    for prefix in os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep):
-        if prefix:
-            yield Path(prefix, 'share')
-    yield Path(sys.prefix, 'share')
-
-
-def _share_file(type_name: str, suffix: str) -> str | None:
-    if not TYPE_NAME.match(type_name):
-        return None
-    package, kind, name = type_name.split('/')
-    for folder in _share_folders():
-        try:
-            return (folder / package / kind / f'{name}{suffix}').read_text(encoding='utf-8')
-        except (OSError, UnicodeDecodeError):
-            continue
-    return None
-
-
 def _definition(type_name: str) -> str | None:
-    return _share_file(type_name, '.msg')
+    return share_file(type_name, '.msg')
 
 
 def _type_hash(type_name: str) -> str:
-    text = _share_file(type_name, '.json')
+    text = share_file(type_name, '.json')
     if text is None:
         return ''
     try:

@@ -7,7 +7,6 @@ from collections import Counter
 from collections.abc import Callable
 import dataclasses
 import gc
-import importlib
 import os
 import signal
 import sys
@@ -19,6 +18,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from msgs_bridge import topics
 from msgs_bridge.transport.arrival import Bell
 from msgs_bridge.errors import BridgeError, MessageError, SettingsError
+from msgs_bridge.message_types import message_class
 from msgs_bridge.host_only import stay_on_this_host
 from msgs_bridge.qos import qos_profile
 from msgs_bridge.settings import check_value, describe, from_mapping
@@ -49,12 +49,6 @@ HOLDER_SECONDS = 1.0
 
 class Finished(Exception):
     """Raised in a callback by a node whose work is done; the process ends with code 0."""
-
-
-def message_class(type_name: str) -> type:
-    """Return the message class of `package/msg/Type`."""
-    package, kind, name = type_name.split('/')
-    return getattr(importlib.import_module(f'{package}.{kind}'), name)
 
 
 class PolledGroup(CallbackGroup):

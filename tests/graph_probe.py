@@ -12,8 +12,8 @@ import time
 from carracing_dqn.bringup.processes import node_command, ProcessGroup
 from msgs_bridge import topics
 from msgs_bridge.images import image_to_array
+from msgs_bridge.message_types import message_class
 from msgs_bridge.named_values import read_named_values
-from msgs_bridge.node_shell import message_class
 from msgs_bridge.qos import qos_profile
 from msgs_bridge.stamps import to_nanoseconds
 from msgs_bridge.step import read_step

@@ -9,8 +9,8 @@ import threading
 
 from msgs_bridge import topics
 from msgs_bridge.host_only import stay_on_this_host
+from msgs_bridge.message_types import message_class
 from msgs_bridge.named_values import read_named_values
-from msgs_bridge.node_shell import message_class
 from msgs_bridge.qos import qos_profile
 from msgs_bridge.step import EPISODE_CORE, VALIDATION_FIELDS
 import rclpy
