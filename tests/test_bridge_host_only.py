@@ -9,6 +9,7 @@ import subprocess
 import sys
 
 from carracing_dqn.bringup.environment import lay_out
+from graph_probe import wait_for
 from msgs_bridge.host_only import PROFILE, PROFILE_VARIABLE, RANGE, SKIP_VARIABLE
 from msgs_bridge.host_only import stay_on_this_host
 from msgs_bridge.share import share_path
@@ -85,6 +86,7 @@ def test_an_outsider_sees_a_node_only_where_its_user_has_opened_it(hosts, said, 
            f'folder:={tmp_path / "bag"}'),
         stdout=subprocess.DEVNULL, env=clean_environment(**said))
     try:
+        wait_for(lambda: 'python' in os.readlink(f'/proc/{node.pid}/exe'), 10, 'it starts there')
         same_host = ['nsenter', '-t', str(node.pid), '-m', '-n']
         assert look(same_host, 20, **{RANGE: 'LOCALHOST'}) == ['bag_recorder_node']
         assert look(on(there), 5, **{RANGE: 'SUBNET', 'ROS_STATIC_PEERS': HERE}) == seen
