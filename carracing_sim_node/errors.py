@@ -2,16 +2,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """The errors of the simulator. Each leaves the environment usable."""
 
+from msgs_bridge.errors import BridgeError
 
-class SimulatorError(Exception):
+
+class SimulatorError(BridgeError):
     """Base class of every error that this package raises on purpose."""
 
 
-class InvalidActionError(SimulatorError, ValueError):
+class InvalidActionError(SimulatorError):
     """An action of the wrong shape, not a number, or outside the action space."""
 
 
-class InvalidVariantError(SimulatorError, ValueError):
+class InvalidVariantError(SimulatorError):
     """A parameter of `make_env` with a value that it does not take."""
 
 
