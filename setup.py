@@ -11,7 +11,8 @@ README = Path(__file__).resolve().with_name('README.md')
 PACKAGES = [
     'msgs_bridge', 'msgs_bridge.transport', 'carracing_sim_node', 'dqn_policy_node',
     'trainer_node', 'bags', 'carracing_dqn',
-    'carracing_dqn.bringup', 'carracing_dqn.evaluation', 'carracing_dqn.benchmarks',
+    'carracing_dqn.bringup', 'carracing_dqn.evaluation', 'carracing_dqn.simulation',
+    'carracing_dqn.benchmarks',
 ]
 SHARED = ('launch', 'config', 'models')
 
@@ -76,6 +77,12 @@ setup(
             'validation_node = carracing_dqn.evaluation.node:main',
             'bag_recorder_node = bags.recorder_node:main',
             'bag_player_node = bags.player_node:main',
+        ],
+        # what --simulator and the parameter simulator take; fast is ours by its older name
+        'carracing_dqn.simulators': [
+            'carracing = carracing_sim_node.simulator:CarRacing',
+            'fast = carracing_sim_node.simulator:CarRacing',
+            'gymnasium = carracing_sim_node.stock:GymnasiumCarRacing',
         ],
     },
 )

@@ -2,11 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The errors of the simulator. Each leaves the environment usable."""
 
-from msgs_bridge.errors import BridgeError
+from msgs_bridge.errors import SimulatorError
 
-
-class SimulatorError(BridgeError):
-    """Base class of every error that this package raises on purpose."""
+__all__ = [
+    'EpisodeError', 'InvalidActionError', 'InvalidVariantError', 'RendererUnavailableError',
+    'SimulatorError',
+]
 
 
 class InvalidActionError(SimulatorError):
