@@ -78,11 +78,5 @@ setup(
             'bag_recorder_node = bags.recorder_node:main',
             'bag_player_node = bags.player_node:main',
         ],
-        # what --simulator and the parameter simulator take; fast is ours by its older name
-        'carracing_dqn.simulators': [
-            'carracing = carracing_sim_node.simulator:CarRacing',
-            'fast = carracing_sim_node.simulator:CarRacing',
-            'gymnasium = carracing_sim_node.stock:GymnasiumCarRacing',
-        ],
     },
 )

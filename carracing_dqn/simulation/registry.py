@@ -3,8 +3,9 @@
 """
 Simulators by name.
 
-A package offers its simulators in its metadata, as entry points `name = module:Class` of the group
-`carracing_dqn.simulators`; this package does so in `setup.py`. Any other is named `module:Class`.
+Those of this package are listed here. Other packages offer theirs in their metadata, as entry
+points `name = module:Class` of the group `carracing_dqn.simulators`; and without any of that a
+simulator is named `module:Class`.
 """
 from __future__ import annotations
 
@@ -20,6 +21,12 @@ from msgs_bridge.errors import SimulatorError
 from msgs_bridge.settings import from_mapping
 from msgs_bridge.simulator import Simulator
 
+SIMULATORS = {
+    'carracing': 'carracing_sim_node.simulator:CarRacing',
+    # its older name
+    'fast': 'carracing_sim_node.simulator:CarRacing',
+    'gymnasium': 'carracing_sim_node.stock:GymnasiumCarRacing',
+}
 GROUP = 'carracing_dqn.simulators'
 DEFAULT = 'carracing'
 # what a simulator must have beside what `Simulator` gives to those who inherit from it
@@ -28,8 +35,8 @@ OWED = ('reset', 'advance', 'skip', 'close', 'Settings')
 
 @functools.cache
 def _registered() -> dict[str, str]:
-    """Return name -> `module:Class` of what the installed packages offer."""
-    return {point.name: point.value for point in entry_points(group=GROUP)}
+    """Return name -> `module:Class`; nobody else takes a name of ours."""
+    return {**{point.name: point.value for point in entry_points(group=GROUP)}, **SIMULATORS}
 
 
 def simulator_names() -> list[str]:
@@ -48,10 +55,12 @@ def find_simulator(name: str, *, registered_only: bool = False) -> type[Simulato
     Raises:
         SimulatorError: there is none, or it lacks what a simulator owes.
     """
-    place = _registered().get(name)
+    # the metadata of all packages is only read for names that are not ours
+    place = SIMULATORS.get(name) or _registered().get(name)
     if place is None:
         if registered_only or ':' not in name:
-            raise SimulatorError(f'simulator is {_shown(name)}; accepted: {_accepted()}')
+            raise SimulatorError(f'simulator is {_shown(name)}; accepted: '
+                                 f'{", ".join(simulator_names())}; or module:Class')
         place = name
         # console scripts, other than `python -m`, do not look into the folder they are called in
         if os.getcwd() not in sys.path:
@@ -94,12 +103,6 @@ def _load(place: str, name: str) -> Any:
                 f'simulator {_shown(name)}: {_shown(module_name)} has no {_shown(path)}')
         found = getattr(found, part)
     return found
-
-
-def _accepted() -> str:
-    # an install from before its simulators were registered knows of none
-    names = ', '.join(simulator_names()) or 'none is registered, so install the package anew'
-    return f'{names}; or module:Class'
 
 
 def _shown(text: str) -> str:
