@@ -14,8 +14,7 @@ callback). It runs in the receiving thread, without Python, so it is compiled.
 from __future__ import annotations
 
 from msgs_bridge.transport.arrival import call_on_arrival
-from msgs_bridge.compiled import compiled_callback
-from numba import carray, types
+from numba import carray, cfunc, types
 import numpy as np
 from rclpy.subscription import Subscription
 
@@ -39,7 +38,7 @@ _usleep = types.ExternalFunction('usleep', types.intc(types.uintc))
 _pthread_self = types.ExternalFunction('pthread_self', types.int64())
 
 
-@compiled_callback(types.void(types.voidptr, types.uintp))
+@cfunc(types.void(types.voidptr, types.uintp))
 def _gather(memory, _):
     """Wait if this thread has slept since it last waited, so that messages gather."""
     words = carray(memory, _WORDS, np.int64)
