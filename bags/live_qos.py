@@ -4,61 +4,90 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
+from rclpy.duration import Duration, Infinite
 from rclpy.qos import (
     DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy,
 )
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-from bags.qos_text import duration_dict, offered_qos
+from bags.qos_text import duration_dict, NANOSECONDS, offered_qos
 
 # rosbag2's depth for what it plays
 PLAY_DEPTH = 10
+# A bag keeps the profile of each publisher of a topic; of more than this many only what differs,
+# so that nobody fills `metadata.yaml` by publishing a topic ten thousand times.
+MOST_PROFILES = 16
+# DDS runs a timer of each deadline, so one of a nanosecond would burn a core; ns
+LEAST_DURATION = 1_000_000
+
+
+class Kind(NamedTuple):
+    """What decides whether a publisher and a subscription match, as far as they can ask for it."""
+
+    reliable: bool
+    latched: bool
 
 
 def recorded_qos(endpoints: Sequence[TopicEndpointInfo]) -> list[dict[str, Any]]:
     """Return the QoS that publishers offer, one profile each, as a bag records it."""
-    return [_profile_dict(endpoint.qos_profile) for endpoint in endpoints]
+    profiles = [_profile_dict(endpoint.qos_profile) for endpoint in endpoints]
+    if len(profiles) > MOST_PROFILES:
+        profiles = join_profiles([], profiles)
+    return profiles[:MOST_PROFILES]
 
 
-def request_for(profiles: Sequence[dict[str, Any]], depth: int) -> QoSProfile:
-    """
-    Return the strongest request that every one of the offered profiles meets.
-
-    That is rosbag2's rule: reliable if all are, transient local if all are.
-    """
-    reliable = all(profile['reliability'] == 'reliable' for profile in profiles)
-    latched = all(profile['durability'] == 'transient_local' for profile in profiles)
-    return _profile(reliable, latched, depth)
-
-
-def offer_for(profiles: Sequence[dict[str, Any]]) -> tuple[QoSProfile, bool]:
-    """
-    Return the profile to play a topic with, and whether its publishers agreed on one.
-
-    rosbag2's rule: the recorded one if all are equal in what matters, else reliable, volatile.
-    """
-    kinds = {(profile['reliability'] != 'best_effort',
-              profile['durability'] == 'transient_local') for profile in profiles}
-    reliable, latched = kinds.pop() if len(kinds) == 1 else (True, False)
-    return _profile(reliable, latched, PLAY_DEPTH), len(kinds) == 0
+def join_profiles(
+    known: Sequence[dict[str, Any]], more: Sequence[dict[str, Any]],
+) -> list[dict[str, Any]]:
+    """Return the known profiles and those of the others that are not among them."""
+    joined = list(known)
+    for profile in more:
+        if profile not in joined and len(joined) < MOST_PROFILES:
+            joined.append(profile)
+    return joined
 
 
-def meets(request: QoSProfile, profile: dict[str, Any]) -> bool:
-    """Return whether a publisher's profile satisfies a request."""
-    if (request.reliability == ReliabilityPolicy.RELIABLE
-            and profile['reliability'] != 'reliable'):
-        return False
-    return not (request.durability == DurabilityPolicy.TRANSIENT_LOCAL
-                and profile['durability'] != 'transient_local')
+def kinds_of(profiles: Sequence[dict[str, Any]]) -> frozenset[Kind]:
+    """Return the kinds of publishers; a subscription of each hears all of them at their best."""
+    return frozenset(
+        Kind(profile['reliability'] != 'best_effort', profile['durability'] == 'transient_local')
+        for profile in profiles)
 
 
-def _profile(reliable: bool, latched: bool, depth: int) -> QoSProfile:
+def request_for(kind: Kind, depth: int) -> QoSProfile:
+    """Return the request that publishers of a kind meet, whatever else they offer."""
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST, depth=depth,
-        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE)
+        reliability=(
+            ReliabilityPolicy.RELIABLE if kind.reliable else ReliabilityPolicy.BEST_EFFORT),
+        durability=(
+            DurabilityPolicy.TRANSIENT_LOCAL if kind.latched else DurabilityPolicy.VOLATILE))
+
+
+def offer_for(profiles: Sequence[dict[str, Any]]) -> QoSProfile:
+    """
+    Return the profile to play a topic with: what was recorded.
+
+    Of several publishers each policy is the strongest, so that whoever heard one of them hears
+    the player. Without any it is reliable and volatile.
+    """
+    profiles = profiles or [offered_qos()]
+    kinds = kinds_of(profiles)
+    offer = request_for(
+        Kind(any(kind.reliable for kind in kinds), any(kind.latched for kind in kinds)),
+        PLAY_DEPTH)
+    # a promise is the stronger the shorter it is, a life the longer
+    offer.deadline = min(_duration(one['deadline']) for one in profiles)
+    offer.lifespan = max(_duration(one['lifespan']) for one in profiles)
+    offer.liveliness_lease_duration = min(
+        _duration(one['liveliness_lease_duration']) for one in profiles)
+    offer.liveliness = (
+        LivelinessPolicy.MANUAL_BY_TOPIC
+        if any(one['liveliness'] == 'manual_by_topic' for one in profiles)
+        else LivelinessPolicy.AUTOMATIC)
+    return offer
 
 
 def _profile_dict(profile: QoSProfile) -> dict[str, Any]:
@@ -78,3 +107,11 @@ def _profile_dict(profile: QoSProfile) -> dict[str, Any]:
 
 def _name(policy: type, value: Any) -> str:
     return policy(value).name.lower()
+
+
+def _duration(told: dict[str, int]) -> Duration:
+    """Return a duration of a bag; what is none is infinite."""
+    nanoseconds = told['sec'] * NANOSECONDS + told['nsec']
+    if not 0 < nanoseconds < Infinite.nanoseconds:
+        return Infinite
+    return Duration(nanoseconds=max(nanoseconds, LEAST_DURATION))

@@ -3,7 +3,7 @@
 """The clock of a playback: when which message is due, with pause, step, rate and `/clock`."""
 from __future__ import annotations
 
-from array import array
+from collections import deque
 from collections.abc import Callable, Iterable
 import threading
 import time
@@ -15,6 +15,8 @@ from bags.messages import BagMessage
 NANOSECONDS = 1e9
 # A sleep wakes some 60 us late; a wait that can be interrupted some 100 us later still.
 LAST_SLEEP = 0.002
+# A bag may be played for days; this much tells how well the time was kept lately.
+LATE_KEPT = 100_000
 
 
 class Playback:
@@ -23,7 +25,8 @@ class Playback:
 
     Attributes:
         played: messages published.
-        late: seconds from due to published, one a message that was paced.
+        late: seconds from due to published, of the newest messages that were paced.
+        latest: the most it ever was.
         now: time of the bag in ns.
     """
 
@@ -47,7 +50,8 @@ class Playback:
             clock_rate: how often a second of wall time.
         """
         self.played = 0
-        self.late = array('d')
+        self.late: deque[float] = deque(maxlen=LATE_KEPT)
+        self.latest = 0.0
         self.now = 0
         self._publish = publish
         self._publish_clock = publish_clock if clock_rate > 0 else None
@@ -71,7 +75,9 @@ class Playback:
                 return
             self.now = message.log_time
             if due is not None:
-                self.late.append(time.monotonic() - due)
+                late = time.monotonic() - due
+                self.late.append(late)
+                self.latest = max(self.latest, late)
             self._publish(message)
             self.played += 1
 
@@ -112,14 +118,14 @@ class Playback:
             self._stopped = True
             self._change.notify_all()
 
-    def timing_error(self, newest: int | None = None) -> tuple[float, float, float]:
-        """Return p50, p99 and maximum of how late (the newest) messages were, in seconds."""
-        # a copy: an array cannot grow while numpy looks at it
-        late = np.array(self.late[-newest:] if newest else self.late[:])
+    def timing_error(self, newest: int = LATE_KEPT) -> tuple[float, float, float]:
+        """Return p50 and p99 of how late the newest messages were, and the maximum; seconds."""
+        # a copy in one piece: a deque must not grow while somebody goes through it
+        late = np.array(self.late.copy())[-newest:]
         if not late.size:
             return 0.0, 0.0, 0.0
-        return (float(np.percentile(late, 50)), float(np.percentile(late, 99)),
-                float(late.max()))
+        middle, worst = np.percentile(late, (50, 99))
+        return float(middle), float(worst), self.latest
 
     def _wait_until(self, log_time: int) -> float | None:
         """Wait until a message is due; return the wall time it was due at, None if unpaced."""

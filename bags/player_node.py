@@ -3,46 +3,71 @@
 """The player: publishes a bag again, at the recorded pace or another."""
 from __future__ import annotations
 
+from itertools import islice
 import sys
 import threading
 import time
 from typing import Any
 
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import TwistStamped
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool, Trigger
 
 from bags.errors import BagError
+from bags.interim import plain
+from bags.last_line import say
+from bags.listeners import Listeners
 from bags.live_qos import offer_for
+from bags.lockstep import Answers
+from bags.mcap_file import ENCODING
+from bags.messages import BagMessage
 from bags.playback import Playback
 from bags.read_ahead import ReadAhead
-from bags.messages import BagMessage
 from bags.reader import BagReader
-from bags.settings import ALL, names_of, PlayerSettings
+from bags.settings import ALL, names_of, PlayerSettings, resolved_names
 from msgs_bridge.message_types import message_class
 from msgs_bridge.node_shell import Finished, NodeShell, run_node
 from msgs_bridge.stamps import set_stamp
-from msgs_bridge.topics import CLOCK, TOPICS
+from msgs_bridge.topics import CLOCK, CMD_VEL, IMAGE, TOPICS
+from rclpy.clock import Clock as RosClock, ClockType
 from rclpy.duration import Duration
-from rclpy.qos import DurabilityPolicy
+from rclpy.event_handler import PublisherEventCallbacks
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, qos_profile_sensor_data
+from rclpy.qos_overriding_options import QoSOverridingOptions
 
-# what the subscribers have at the end to take the last messages
-LAST_WORDS = Duration(seconds=1)
-# A reliable subscription that is slower for a while loses nothing.
-DEPTH = 1000
+# seconds that the subscribers have at the end to take the last messages
+LAST_WORDS = 2.0
+# A reliable subscription that is slower for a while loses nothing: so many messages of a topic
+# wait for it, but no more than so many bytes by the size of its first messages.
+DEPTH, LEAST_DEPTH = 1000, 4
+DEPTH_BYTES = 64 << 20
+FIRST_MESSAGES = 500
 LOOK_SECONDS = 0.02
+# how often it is looked who listens
+LISTENERS_SECONDS = 0.5
 SWITCH_SECONDS = 0.0002
 # messages that the diagnostics judge the timing by
 RECENT = 1000
+# more topics than this no graph has
+MOST_TOPICS = 1000
+# of so many topics the log tells why they are not played
+MOST_REASONS = 20
 
 
 class BagPlayerNode(NodeShell):
     """
     Play a bag.
 
-    Purpose: publish what was recorded, the same bytes in the same order, by log time.
+    Purpose: publish what was recorded, the same bytes in the same order, by log time or as fast
+    as a driver answers the images.
 
-    Publishes: the topics of the bag, with the QoS they were recorded with; `/clock` if
-    `clock_rate` is set (a recorded `/clock` is left out then); `/diagnostics`.
+    Publishes: the topics of the bag, with the QoS they were recorded with (the parameters
+    `qos_overrides.*` change it); `/clock` if `clock_rate` is set (a recorded `/clock` is left out
+    then); `/diagnostics`.
+
+    Subscribes: with `answer_timeout`, `cmd_vel` beside each `image_raw`.
 
     Services: `~/pause` (std_srvs/SetBool), `~/step` (std_srvs/Trigger): one message while paused;
     `~/hold` (std_srvs/SetBool): a slow learner holds the bag back.
@@ -50,7 +75,9 @@ class BagPlayerNode(NodeShell):
     Parameters: `bags.settings.PlayerSettings`; `rate` can be changed while playing.
 
     Behaviour when things go wrong: a bag that cannot be read ends the node with one line and
-    code 2; a topic whose type is not installed is left out with a warning.
+    code 2; a topic whose type is not installed or whose name ROS refuses is left out with a
+    warning. A subscriber that asks for more than was recorded hears nothing, which the log and
+    the diagnostics say; topics that nobody heard are named at the end.
     """
 
     def __init__(self) -> None:
@@ -58,7 +85,8 @@ class BagPlayerNode(NodeShell):
         Open the bag and start to play.
 
         Raises:
-            BagError: a bag that cannot be read, or a topic that it does not have.
+            BagError: a bag that cannot be read, a topic that it does not have, or a name that a
+                topic cannot have.
         """
         super().__init__('bag_player_node', PlayerSettings)
         settings = self.settings
@@ -66,13 +94,18 @@ class BagPlayerNode(NodeShell):
             raise BagError('no bag was given; set the parameter `bag`')
         self._reader = BagReader(settings.bag)
         self._remaps = parse_remaps(settings.remaps)
-        self._outputs: dict[str, Any] = {}
+        for name in self._remaps:
+            self._must_have(name)
+        self._answers = Answers(settings.answer_timeout)
+        self._answered: set[str] = set()
+        self._outputs: dict[str, Publisher] = {}
         self._create_publishers(self._chosen_topics())
+        self._listeners = Listeners(self, self._outputs)
         self._clock_message = Clock()
         clock = self.publisher(CLOCK) if settings.clock_rate > 0 else None
         self._clock_publisher = clock
         self._playback = Playback(
-            self._publish, rate=settings.rate, paused=settings.start_paused,
+            self._publish, rate=self._rate(), paused=settings.start_paused,
             publish_clock=self._publish_clock, clock_rate=settings.clock_rate)
         self._error: BaseException | None = None
         self._done = threading.Event()
@@ -81,24 +114,34 @@ class BagPlayerNode(NodeShell):
         self.create_service(SetBool, '~/pause', self._on_pause)
         self.serve_hold(lambda: self._playback.hold(self.held_back))
         self.create_service(Trigger, '~/step', self._on_step)
-        self.create_timer(LOOK_SECONDS, self._look)
-        self.get_logger().info(
-            f'playing {settings.bag}: {", ".join(sorted(self._outputs)) or "no topics"}')
+        # who may be the one that publishes the simulation's time does not wait for it
+        steady = RosClock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(LOOK_SECONDS, self._look, clock=steady)
+        self.create_timer(LISTENERS_SECONDS, self._listeners.look, clock=steady)
+        names = ', '.join(sorted(self._outputs)) or 'no topics'
+        self.get_logger().info(f'playing {settings.bag}: {plain(names, 1000)}')
         self._began = time.monotonic()
         self._thread = threading.Thread(target=self._play, name='bag_player', daemon=True)
         self._thread.start()
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
-        """Return how far it is and how late."""
-        level, _, values = super().health()
+        """Return how far it is and how late, and who cannot hear it."""
         middle, worst, _ = self._playback.timing_error(RECENT)
-        return level, 'playing', {
-            **values, 'played': self._playback.played,
+        unheard = self._listeners.mismatches
+        level = DiagnosticStatus.WARN if unheard or self._answers.missing else DiagnosticStatus.OK
+        if unheard:
+            summary = '; '.join(unheard)
+        elif self._answers.missing:
+            summary = 'playing, but not every image is answered'
+        else:
+            summary = 'playing'
+        return level, plain(summary, 300), {
+            'played': self._playback.played, 'unanswered': self._answers.missing,
             'timing_error_p50_ms': 1e3 * middle, 'timing_error_p99_ms': 1e3 * worst}
 
     def settings_changed(self) -> None:
         """Take over another rate."""
-        self._playback.set_rate(self.settings.rate)
+        self._playback.set_rate(self._rate())
 
     def close(self) -> None:
         """Stop, and say how it went."""
@@ -106,50 +149,90 @@ class BagPlayerNode(NodeShell):
             return
         self._closed = True
         self._playback.stop()
+        self._answers.stop()
         self._done.set()
         self._thread.join()
         seconds = time.monotonic() - self._began
         middle, worst, most = (1e3 * value for value in self._playback.timing_error())
-        sys.stderr.write(
-            f'{self._playback.played} messages played in {seconds:.2f} s; timing error p50 '
-            f'{middle:.3f} ms, p99 {worst:.3f} ms, max {most:.3f} ms\n')
+        unanswered = (f'; {self._answers.missing} images were not answered'
+                      if self.settings.answer_timeout else '')
+        unheard = self._listeners.never_heard
+        nobody = f'; nobody listened to {plain(", ".join(unheard), 300)}' if unheard else ''
+        say(f'{self._playback.played} messages played in {seconds:.2f} s; timing error p50 '
+            f'{middle:.3f} ms, p99 {worst:.3f} ms, max {most:.3f} ms{unanswered}{nobody}')
         self._reader.close()
+
+    def _rate(self) -> float:
+        return 0.0 if self.settings.answer_timeout else self.settings.rate
+
+    def _must_have(self, name: str) -> None:
+        if name not in self._reader.topics:
+            accepted = plain(', '.join(sorted(self._reader.topics)), 1000)
+            raise BagError(f'{self.settings.bag} has no topic {plain(name)!r}; it has {accepted}')
 
     def _chosen_topics(self) -> list[str]:
         settings = self.settings
         if settings.topics.strip() == ALL:
             chosen = list(self._reader.topics)
         else:
-            chosen = [self.resolve_topic_name(name) for name in names_of(settings.topics)]
+            chosen = resolved_names(settings.topics, self.resolve_topic_name)
             for name in chosen:
-                if name not in self._reader.topics:
-                    accepted = ', '.join(sorted(self._reader.topics))
-                    raise BagError(f'{settings.bag} has no topic {name!r}; it has {accepted}')
+                self._must_have(name)
+        if len(chosen) > MOST_TOPICS:
+            raise BagError(f'{settings.bag} has {len(chosen)} topics; accepted: {MOST_TOPICS}; '
+                           'choose with the parameter `topics`')
         if settings.clock_rate > 0 and CLOCK.name in chosen:
             chosen.remove(CLOCK.name)
+        if settings.answer_timeout:
+            # who drives answers, and not the recorded drive
+            chosen = [name for name in chosen
+                      if self._target(name).rpartition('/')[2] != CMD_VEL.name]
         return chosen
 
+    def _target(self, name: str) -> str:
+        return self._remaps.get(name) or self.settings.prefix + name
+
     def _create_publishers(self, chosen: list[str]) -> None:
-        depths = {topic.name.lstrip('/'): topic.depth for topic in TOPICS if topic.latched}
+        sizes: dict[str, int] = {}
+        for message in islice(self._reader.messages(chosen), FIRST_MESSAGES):
+            sizes[message.topic] = max(sizes.get(message.topic, 1), len(message.data))
         for name in chosen:
             topic = self._reader.topics[name]
             try:
-                kind = message_class(topic.type_name)
-            except (ImportError, AttributeError, ValueError):
+                if topic.encoding != ENCODING:
+                    raise BagError(f'its encoding is {topic.encoding}, not {ENCODING}')
+                self._outputs[name] = self._create_output(
+                    message_class(topic.type_name), name, sizes.get(name, 1))
+            except Exception as error:
+                # of what a bag names anything may be wrong, and rcl and DDS raise as they like
+                if self._target(name) != name:
+                    raise BagError(f'{plain(name)} cannot be played as '
+                                   f'{plain(self._target(name))!r}: {plain(str(error))}') from None
                 self.counts['topics_not_played'] += 1
-                self.get_logger().warn(
-                    f'{name} is not played: its type {topic.type_name} is not installed here')
-                continue
-            profile, agreed = offer_for(topic.qos)
-            if not agreed and topic.qos:
-                self.get_logger().warn(f'{name} was published with several QoS profiles')
-            if profile.durability == DurabilityPolicy.VOLATILE:
-                profile.depth = DEPTH
-            else:
-                # late subscribers get as many as the node that published it would have kept
-                profile.depth = depths.get(name.rpartition('/')[2], profile.depth)
-            target = self._remaps.get(name, name)
-            self._outputs[name] = self.create_publisher(kind, target, profile)
+                if self.counts['topics_not_played'] <= MOST_REASONS:
+                    self.get_logger().warn(
+                        f'{plain(name)} is not played: {plain(str(error), 200)}')
+
+    def _create_output(self, kind: type, name: str, size: int) -> Publisher:
+        depths = {topic.name.lstrip('/'): topic.depth for topic in TOPICS if topic.latched}
+        profile = offer_for(self._reader.topics[name].qos)
+        if profile.durability == DurabilityPolicy.VOLATILE:
+            profile.depth = max(LEAST_DEPTH, min(DEPTH, DEPTH_BYTES // size))
+        else:
+            # late subscribers get as many as the node that published it would have kept
+            profile.depth = depths.get(name.rpartition('/')[2], profile.depth)
+        target = self._target(name)
+        publisher = self.create_publisher(
+            kind, target, profile,
+            event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
+            qos_overriding_options=QoSOverridingOptions.with_default_policies())
+        space, _, base = target.rpartition('/')
+        if self.settings.answer_timeout and base == IMAGE.name:
+            self._answered.add(name)
+            self.create_subscription(
+                TwistStamped, f'{space}/{CMD_VEL.name}', self._answers.take,
+                qos_profile_sensor_data, raw=True)
+        return publisher
 
     def _play(self) -> None:
         try:
@@ -167,9 +250,11 @@ class BagPlayerNode(NodeShell):
                     self._ahead.close()
                 if not settings.loop or not self._outputs:
                     break
+            deadline = time.monotonic() + LAST_WORDS
             for publisher in self._outputs.values():
-                if not self._done.is_set():
-                    publisher.wait_for_all_acked(LAST_WORDS)
+                left = deadline - time.monotonic()
+                if left > 0 and not self._done.is_set():
+                    publisher.wait_for_all_acked(Duration(seconds=left))
         except BaseException as error:
             # raised again where the executor sees it
             self._error = error
@@ -179,7 +264,7 @@ class BagPlayerNode(NodeShell):
     def _wait_for_subscribers(self) -> None:
         deadline = time.monotonic() + self.settings.wait_for_subscribers
         while time.monotonic() < deadline and not self._done.is_set():
-            if all(one.get_subscription_count() for one in self._outputs.values()):
+            if self._listeners.complete():
                 return
             time.sleep(0.01)
 
@@ -188,10 +273,17 @@ class BagPlayerNode(NodeShell):
         if self._done.is_set():
             if self._error is not None:
                 raise self._error
+            self._listeners.look()
             raise Finished
 
     def _publish(self, message: BagMessage) -> None:
-        self._outputs[message.topic].publish(bytes(message.data))
+        data = bytes(message.data)
+        answered = message.topic in self._answered
+        if answered:
+            self._answers.expect(data)
+        self._outputs[message.topic].publish(data)
+        if answered:
+            self._answers.wait()
 
     def _publish_clock(self, bag_time: int) -> None:
         if self._clock_publisher is not None:

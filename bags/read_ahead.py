@@ -11,6 +11,7 @@ from bags.messages import BagMessage
 
 # a chunk holds some hundred messages; two batches of this size wait at most
 BATCH = 256
+BATCH_BYTES = 16 << 20
 WAITING = 2
 # how often a reader that waits for room looks whether anybody still wants it; seconds
 LOOK = 0.1
@@ -47,13 +48,15 @@ class ReadAhead:
     def _read(self) -> None:
         end: BaseException | None = None
         batch: list[BagMessage] = []
+        size = 0
         try:
             for message in self._messages:
                 batch.append(message)
-                if len(batch) == BATCH:
+                size += len(message.data)
+                if len(batch) == BATCH or size > BATCH_BYTES:
                     if not self._put(batch):
                         return
-                    batch = []
+                    batch, size = [], 0
         except BaseException as error:
             end = error
         # what was read before an error comes first

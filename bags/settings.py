@@ -3,11 +3,13 @@
 """Settings of the recorder and of the player, described once for parameters, help and docs."""
 from __future__ import annotations
 
+from collections.abc import Callable
 import dataclasses
 
 from msgs_bridge.settings import setting
 
 from bags.compression import COMPRESSIONS
+from bags.errors import BagError
 from bags.writer import CHUNK_BYTES
 
 ALL = 'all'
@@ -33,13 +35,12 @@ class RecorderSettings:
     split_seconds: float = setting(
         0.0, 'seconds after which the next file is begun; 0 = never', low=0, high=1e7)
     cache_bytes: int = setting(
-        100 << 20, 'bytes that may wait for the disk; when it is full messages wait in DDS',
+        100 << 20, 'bytes that may wait for the disk; what comes while they are full is lost '
+        'and counted',
         low=1 << 20, high=1 << 34)
     depth: int = setting(
-        2000, 'messages a topic that may wait in DDS', low=1, high=100_000)
-    gather_above: int = setting(
-        2000, 'messages a second above which they gather for 2 ms before they are handled, with '
-        'log times late by as much, which spares the publishers; 0 = never', low=0, high=1_000_000)
+        2000, 'messages a topic that may wait in DDS; Fast DDS has gone deaf with fewer than 100',
+        low=100, high=100_000)
     provenance: str = setting(
         '', 'JSON object with the origin of the run, for custom_data and a metadata record')
 
@@ -52,6 +53,7 @@ class PlayerSettings:
     topics: str = setting(
         ALL, 'topics to play, separated by commas; all = every topic of the bag')
     remaps: str = setting('', 'from:=to pairs of topic names, separated by commas')
+    prefix: str = setting('', 'goes before the name of every topic that is not remapped: /car1')
     rate: float = setting(
         1.0, 'speed; 2 = twice as fast as recorded, 0 = as fast as possible',
         low=0, high=1e4, live=True)
@@ -65,10 +67,34 @@ class PlayerSettings:
         0.0, 'messages a second on /clock with the time of the bag; 0 = none',
         low=0, high=1000)
     wait_for_subscribers: float = setting(
-        0.5, 'seconds to wait at most until every topic played has a subscriber',
-        low=0, high=3600)
+        3.5, 'seconds to wait at most until every topic played has a subscriber; '
+        'DDS may need 3 s to find one', low=0, high=3600)
+    answer_timeout: float = setting(
+        0.0, 'seconds to wait for the twist that answers an image_raw, played as fast as answers '
+        'come and without the recorded cmd_vel; 0 = play by time', low=0, high=3600)
 
 
 def names_of(text: str) -> list[str]:
     """Return the names in a comma-separated setting."""
     return [name.strip() for name in text.split(',') if name.strip()]
+
+
+def resolved_names(text: str, resolve: Callable[[str], str]) -> list[str]:
+    """
+    Return the full names of the topics in a comma-separated setting.
+
+    Args:
+        text: what was set.
+        resolve: what ROS makes of a name.
+
+    Raises:
+        BagError: a name that ROS refuses.
+    """
+    names = []
+    for name in names_of(text):
+        try:
+            names.append(resolve(name))
+        except Exception:
+            # rcl has an exception for each way in which a name may be wrong, and a text of lines
+            raise BagError(f'{name[:100]!r} cannot be the name of a topic') from None
+    return names
