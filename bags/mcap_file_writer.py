@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Mapping
+import errno
 import os
 from pathlib import Path
 import sys
@@ -152,6 +153,24 @@ class McapFileWriter:
         self._clear()
         # schemas and channels may have been in it, and the summary names them anyway
         return lost
+
+    def check_place(self) -> None:
+        """
+        Look whether the file is still the one at its path; writing to a removed one never fails.
+
+        Raises:
+            OSError: it was removed, moved, replaced or cut short.
+        """
+        mine = os.fstat(self._file.fileno())
+        try:
+            there = self.path.stat()
+        except FileNotFoundError:
+            there = None
+        if there is None or not os.path.samestat(mine, there):
+            raise OSError(
+                errno.ENOENT, f'{self.path.name} was removed, moved or replaced meanwhile')
+        if mine.st_size < self.size:
+            raise OSError(errno.EIO, f'{self.path.name} was cut short meanwhile')
 
     def finish(self) -> None:
         """

@@ -5,36 +5,33 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 import contextlib
-import ctypes
-import dataclasses
 import json
-from operator import itemgetter
 import os
 import signal
 import sys
-import threading
 import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from bags.errors import BagError
-from msgs_bridge.transport.gathered_arrival import gather_arrivals
-from bags.live_qos import meets, recorded_qos, request_for
-from bags.qos_text import offered_qos
+from bags.intake import Intake
+from bags.interim import plain
+from bags.last_line import say
+from bags.live_qos import join_profiles, Kind, kinds_of, recorded_qos, request_for
+from bags.own_memory import let_go_of_freed_memory, resident_bytes
+from bags.recorded_topic import RecordedTopic
 from bags.recording import Recording
-from bags.settings import ALL, names_of, RecorderSettings
+from bags.settings import ALL, RecorderSettings, resolved_names
 from bags.writer import BagWriter
 from msgs_bridge.message_types import message_class
 from msgs_bridge.node_shell import NodeShell, PolledGroup, run_node
-from msgs_bridge.topics import TOPICS
+from msgs_bridge.topics import CLOCK, TOPICS
 
-# The middleware keeps what arrives between two looks; a look costs the same for one message as
-# the executor's wait set does, so looking at 50 Hz instead of at every message saves most of it.
-POLL_SECONDS = 0.02
 DISCOVERY_SECONDS = 0.2
 # On a busy machine the car and the learner come first: a lockstep run on two cores made a tenth
 # more decisions/s beside a recorder of this priority than beside one of normal priority. A tenth
@@ -43,68 +40,46 @@ NICE = 10
 # Seconds after which discovery has found who was there before us, for Fast DDS announces a
 # participant every 3 s; whoever publishes later should be heard from its first message on.
 FOUND_SECONDS = 6.0
-# Freed memory that is kept for the next chunk instead of being given back and zeroed anew, which
-# is a third of the writing thread's work; names and numbers of mallopt(3).
-M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
-KEPT_BYTES = 32 << 20
 # looks at the graph after which, if nothing was new, only every fifth is made
 BUSY_DISCOVERIES = 50
 CALM = 5
-# seconds without a message after which a stopped recorder believes that nothing more comes
-QUIET_SECONDS = 0.06
-STOP_SECONDS = 0.6
-
-
-@dataclasses.dataclass
-class _Source:
-    """One recorded topic."""
-
-    name: str
-    type_name: str
-    request: Any
-    subscription: Subscription
-    number: int | None = None
-    sequence: int = 0
-    publishers: frozenset[bytes] = frozenset()
-    # a latched publisher keeps less than it has sent
-    latched: bool = False
-    # whether we subscribed before anybody published, so that even number 1 should arrive
-    first: bool = False
-
-    @property
-    def countable(self) -> bool:
-        """Return whether sequence numbers tell what was lost: only those of one publisher do."""
-        return len(self.publishers) == 1
-
-    def see(self, publishers: Sequence[TopicEndpointInfo]) -> None:
-        """Note who publishes; after a change the numbers begin anew."""
-        seen = frozenset(bytes(one.endpoint_gid) for one in publishers)
-        if seen != self.publishers:
-            self.first = self.first and not self.publishers
-            self.publishers = seen
-            self.sequence = 0
+# more topics than this are no graph but a flood of names
+MOST_TOPICS = 1000
+# of so many topics the log tells why they are not recorded
+MOST_REASONS = 20
+# after so many seconds without progress the disk is said to be stuck
+STALLED_SECONDS = 2.0
+LOSS_LOG_SECONDS = 5.0
+# What DDS keeps is bounded in messages, not in bytes: `depth` images of 50 MB are 100 GB. Above
+# so many bytes besides those of the cache, what waits there is dropped.
+MOST_WAITING_BYTES = 256 << 20
+# topics whose messages are no larger than this are spared as long as that is enough
+SMALL_BYTES = 64 << 10
+LEAST_FLOOD_BYTES = 4 << 20
+# metadata.yaml holds it and has to stay readable; bytes
+MOST_PROVENANCE = 1 << 20
 
 
 class BagRecorderNode(NodeShell):
     """
     Record topics to a bag.
 
-    Purpose: a bag with every byte that was published, log time = when it arrived, publish time =
-    when it was sent, QoS as the publishers offer it.
+    Purpose: a bag with every byte that was published, log time = when it arrived (with
+    `use_sim_time` the time of the simulation then), publish time = when it was sent, QoS as the
+    publishers offer it.
 
     Subscribes: the topics of the contract from the start, so that nothing is missed, and any
-    other as it appears; `topics` and `exclude` choose.
+    other as it appears; `topics` and `exclude` choose. It asks each publisher for what it offers.
 
     Publishes: `/diagnostics`.
 
     Parameters: `bags.settings.RecorderSettings`.
 
-    Attributes:
-        failed: whether the disk failed, so that messages are missing from the bag.
-
-    Behaviour when things go wrong: an existing folder, a bad parameter or a failing disk ends the
-    node with one line and code 2. Messages that DDS lost on the way (gaps in a single publisher's
-    sequence numbers) are counted and logged. SIGINT and SIGTERM complete the bag.
+    Behaviour when things go wrong: an existing folder, a bad parameter, a failing disk or a bag
+    that was removed ends the node with one line and code 2, after an ERROR in the diagnostics. A
+    topic that cannot be recorded is named once. What DDS lost on the way (gaps in a single
+    publisher's sequence numbers) and what the cache did not hold is counted by topic, logged, and
+    kept in the bag's `custom_data`. SIGINT, SIGTERM and SIGHUP complete the bag.
     """
 
     def __init__(self) -> None:
@@ -112,85 +87,93 @@ class BagRecorderNode(NodeShell):
         Create the bag and start to record.
 
         Raises:
-            BagError: the folder exists, or the provenance is not a JSON object.
+            BagError: the folder exists, a topic name that ROS refuses, or a provenance that is
+                not a JSON object.
         """
         super().__init__('bag_recorder_node', RecorderSettings)
         settings = self.settings
+        self._wanted = (
+            None if settings.topics.strip() == ALL
+            else set(resolved_names(settings.topics, self.resolve_topic_name)))
+        self._excluded = set(resolved_names(settings.exclude, self.resolve_topic_name))
         folder = settings.folder or time.strftime('bag_%Y_%m_%d-%H_%M_%S')
+        provenance = parse_provenance(settings.provenance)
         self._writer = BagWriter(
             folder, compression=settings.compression, chunk_bytes=settings.chunk_bytes,
             chunk_seconds=settings.chunk_seconds, split_bytes=settings.split_bytes,
-            split_seconds=settings.split_seconds,
-            custom_data=parse_provenance(settings.provenance))
+            split_seconds=settings.split_seconds, custom_data=provenance)
         self._recording = Recording(self._writer, settings.cache_bytes)
         self._group = PolledGroup()
-        self._lock = threading.Lock()
-        self._sources: dict[str, _Source] = {}
-        self._held: list[tuple[int, int, int, bytes]] = []
-        self._unknown: set[str] = set()
-        self._full_said = False
+        self._refused: set[tuple[str, str]] = set()
         self._discoveries = 0
         self._began = time.monotonic()
-        self._gathering = False
-        self._wanted = (
-            None if settings.topics.strip() == ALL
-            else {self.resolve_topic_name(name) for name in names_of(settings.topics)})
-        self._excluded = {self.resolve_topic_name(name) for name in names_of(settings.exclude)}
-        self._stop = threading.Event()
+        self._losses_said = (0, 0.0)
+        self._most_bytes = resident_bytes() + settings.cache_bytes + MOST_WAITING_BYTES
+        self._dropped_at = 0.0
         self._closed = False
-        self.failed = False
+        self._clock_name = (
+            CLOCK.name if self.get_parameter('use_sim_time').value else None)
+        self._intake = Intake(self._recording, self._publishers_of, depth=settings.depth)
         self._subscribe_to_contract()
-        self._thread = threading.Thread(target=self._poll_forever, name='bag_poll', daemon=True)
-        self._thread.start()
-        self.create_timer(DISCOVERY_SECONDS, self._discover)
-        names = ', '.join(sorted(self._sources)) or 'nothing yet'
+        self._intake.start()
+        # a steady clock: while nobody publishes the simulation's time, topics appear all the same
+        self.create_timer(
+            DISCOVERY_SECONDS, self._discover, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        names = ', '.join(sorted(self._intake.topics)) or 'nothing yet'
         self.get_logger().info(f'recording {names} to {self._writer.folder}')
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
-        """Return messages, bytes waiting and losses."""
-        level = DiagnosticStatus.OK
-        if self._recording.full or any(key.startswith('lost_') for key in self.counts):
-            level = DiagnosticStatus.WARN
-        return level, 'recording', {
+        """Return messages, bytes waiting and losses, and what keeps the bag from growing."""
+        lost = self._lost()
+        stalled = self._recording.stalled_seconds
+        error = self._recording.error or self._intake.error
+        if error is not None:
+            level, summary = DiagnosticStatus.ERROR, str(error)
+        elif stalled > STALLED_SECONDS:
+            level, summary = (
+                DiagnosticStatus.ERROR, f'the disk has taken nothing for {stalled:.0f} s')
+        elif self._intake.waits_for_clock:
+            level, summary = (
+                DiagnosticStatus.WARN, f'messages wait until somebody publishes {CLOCK.name}')
+        elif lost:
+            level, summary = DiagnosticStatus.WARN, 'recording, but messages were lost'
+        else:
+            level, summary = DiagnosticStatus.OK, 'recording'
+        topics = self._intake.topics.values()
+        return level, summary, {
             'messages': self._writer.message_count,
-            'topics': sum(source.number is not None for source in self._sources.values()),
+            'topics': sum(topic.number is not None for topic in list(topics)),
             'peak_cache_bytes': self._recording.peak_bytes,
-            'gathering': self._gathering,
+            'failed_takes': self._intake.failed_takes,
+            **{f'lost_{name}': count for name, count in lost.items()},
         }
 
     def close(self) -> None:
-        """Take what is still under way, complete the bag and say what is in it."""
+        """
+        Take what is still under way, complete the bag and say what is in it.
+
+        Raises:
+            BagError: the bag could not be completed; the text says what was lost.
+        """
         if self._closed:
             return
         self._closed = True
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             # a second Ctrl-C must not leave a bag without its end
             with contextlib.suppress(ValueError):
                 signal.signal(number, signal.SIG_IGN)
-        self._stop.set()
-        self._thread.join()
-        deadline = time.monotonic() + STOP_SECONDS
-        quiet = time.monotonic() + QUIET_SECONDS
-        while time.monotonic() < min(deadline, quiet):
-            if self._poll(final=True):
-                quiet = time.monotonic() + QUIET_SECONDS
-            time.sleep(0.005)
-        told = self._recording.error is not None
-        try:
-            self._recording.close()
-        except BagError as error:
-            self.failed = True
-            if not told:
-                sys.stderr.write(f'error: {error}\n')
-            return
-        missing = (self._wanted or set()) - self._sources.keys()
+        settled = self._intake.finish()
+        lost = self._lost()
+        self._recording.close(lost)
+        missing = (self._wanted or set()) - self._intake.topics.keys()
         if missing:
-            sys.stderr.write(f'never seen: {", ".join(sorted(missing))}\n')
-        lost = {key.removeprefix('lost_'): count for key, count in self.counts.items()
-                if key.startswith('lost_')}
+            say(f'never seen: {", ".join(sorted(missing))}')
+        if self._intake.waits_for_clock:
+            say(f'nobody published {CLOCK.name}: log times are those of the wall clock')
         loss = ', '.join(f'{count} of {topic}' for topic, count in lost.items()) or 'none'
-        sys.stderr.write(
-            f'{self._writer.message_count} messages in {self._writer.folder}; lost: {loss}\n')
+        if not settled:
+            loss += ' known, but messages were still arriving late'
+        say(f'{self._writer.message_count} messages in {self._writer.folder}; lost: {loss}')
 
     def _wants(self, name: str) -> bool:
         if name in self._excluded:
@@ -200,185 +183,228 @@ class BagRecorderNode(NodeShell):
         # rosbag2 leaves out hidden topics too
         return not any(part.startswith('_') for part in name.split('/'))
 
+    def _lost(self) -> dict[str, int]:
+        return {topic.name: topic.lost for topic in list(self._intake.topics.values())
+                if topic.lost}
+
     def _subscribe_to_contract(self) -> None:
         for topic in TOPICS:
             name = self.resolve_topic_name(topic.name)
-            if self._wants(name):
-                offered = offered_qos(reliable=topic.reliable, latched=topic.latched)
-                self._subscribe(name, topic.type_name, [offered], latched=topic.latched)
+            if self._wants(name) or topic.name == self._clock_name:
+                kind = Kind(topic.reliable, topic.latched)
+                self._listen(name, topic.type_name, frozenset({kind}), latched=topic.latched)
+                if topic.name == self._clock_name:
+                    self._intake.time_by(self._intake.topics[name])
 
-    def _subscribe(
-        self, name: str, type_name: str, offered: list[dict[str, Any]], *, latched: bool = True,
-    ) -> None:
-        try:
-            kind = message_class(type_name)
-        except (ImportError, AttributeError, ValueError):
-            if name not in self._unknown:
-                self._unknown.add(name)
-                self.counts['topics_not_recorded'] += 1
-                self.get_logger().error(
-                    f'{name} is not recorded: its type {type_name} is not installed here')
-            return
-        with self._lock:
-            old = self._sources.pop(name, None)
-        if old is not None:
+    def _listen(
+        self, name: str, type_name: str, kinds: frozenset[Kind], *, latched: bool,
+    ) -> RecordedTopic | None:
+        """Subscribe to a topic for these kinds of publishers; None if that cannot be."""
+        topic = self._intake.topics.get(name)
+        if topic is not None and topic.type_name != type_name:
             # DDS refuses a second type of one topic within a process
-            self.destroy_subscription(old.subscription)
-        request = request_for(offered, self.settings.depth)
-        source = _Source(name, type_name, request, self.create_subscription(
-            kind, name, _unused, request, raw=True, callback_group=self._group,
-            event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False)),
-            latched=latched)
-        if old is not None and old.type_name == type_name:
-            source.number = old.number
-        with self._lock:
-            self._sources[name] = source
-            if self._gathering:
-                gather_arrivals(source.subscription, gather=True)
+            topic = self._forget(topic)
+        try:
+            if topic is None:
+                topic = RecordedTopic(
+                    name, type_name, message_class(type_name), latched=latched,
+                    depth=self.settings.depth, kept=self._wants(name))
+            ears = dict(topic.ears)
+            for kind in kinds - ears.keys():
+                ears[kind] = self._subscription(topic, kind)
+        except Exception as error:
+            # of what the wire names anything may be wrong, and rcl and DDS raise as they like
+            if self.context.ok():
+                self._refuse(name, type_name, str(error))
+            return None
+        with self._intake.lock:
+            topic.listen_with({kind: ears[kind] for kind in kinds})
+        self._intake.topics[name] = topic
+        return topic
+
+    def _subscription(self, topic: RecordedTopic, kind: Kind) -> Subscription:
+        return self.create_subscription(
+            topic.message_type, topic.name, _unused, request_for(kind, self.settings.depth),
+            raw=True, callback_group=self._group,
+            event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False))
+
+    def _forget(self, topic: RecordedTopic) -> None:
+        """End the subscriptions of a topic of which nothing has come."""
+        with self._intake.lock:
+            del self._intake.topics[topic.name]
+            for ear in topic.ears.values():
+                self.destroy_subscription(ear)
+
+    def _refuse(self, name: str, type_name: str, reason: str) -> None:
+        """Leave a topic out of the bag from now on, and say so once."""
+        if (name, type_name) in self._refused or len(self._refused) >= MOST_TOPICS:
+            return
+        self._refused.add((name, type_name))
+        self.counts['topics_not_recorded'] += 1
+        if len(self._refused) <= MOST_REASONS:
+            self.get_logger().error(f'{plain(name)} is not recorded: {plain(reason, 200)}')
 
     def _discover(self) -> None:
-        """Subscribe to what is new, and again where a publisher does not fit the request."""
-        if self._recording.error is not None:
-            raise BagError(self._recording.error)
-        fresh = []
+        """Subscribe to what is new, and anew where a publisher offers something else."""
+        self._end_if_broken()
+        self._say_losses()
+        self._bound_memory()
+        while self._intake.drained:
+            self.destroy_subscription(self._intake.drained.popleft())
         self._discoveries += 1
         if self._discoveries > BUSY_DISCOVERIES and self._discoveries % CALM:
             return
-        for name in self._known_topics():
-            source = self._sources.get(name)
-            if not self._wants(name) or name in self._unknown:
+        fresh = []
+        for name in self._names():
+            topic = self._intake.topics.get(name)
+            if topic is None and not self._wants(name):
                 continue
             # new publishers of a topic already recorded need not be noticed at once
-            if source is not None and source.number is not None and self._discoveries % CALM:
+            if topic is not None and topic.number is not None and self._discoveries % CALM:
                 continue
-            publishers = self._known_publishers(name)
-            if not publishers:
-                if source is not None and time.monotonic() - self._began > FOUND_SECONDS:
-                    source.first = source.number is None and not source.latched
-                continue
-            offered = recorded_qos(publishers)
-            if source is not None:
-                source.see(publishers)
-                types = {publisher.topic_type for publisher in publishers}
-                if source.type_name in types and all(
-                        meets(source.request, profile) for profile in offered):
-                    continue
-            self._subscribe(name, publishers[0].topic_type, offered)
-            self._discoveries = 0
-            fresh.append(name)
+            if self._follow(name, topic):
+                fresh.append(plain(name))
+                self._discoveries = 0
         if fresh:
-            self.get_logger().info(f'recording {", ".join(sorted(fresh))}')
+            self.get_logger().info(f'recording {plain(", ".join(sorted(fresh)), 1000)}')
 
-    def _known_topics(self) -> list[str]:
+    def _follow(self, name: str, topic: RecordedTopic | None) -> bool:
+        """Go by who publishes a topic now; return whether that made a new subscription."""
+        publishers = self._publishers_of(name)
+        if not publishers:
+            if topic is not None and time.monotonic() - self._began > FOUND_SECONDS:
+                topic.first = topic.number is None and not topic.latched
+            return False
+        type_name = self._type_of(name, topic, publishers)
+        if type_name is None:
+            return False
+        profiles = recorded_qos([one for one in publishers if one.topic_type == type_name])
+        kinds = kinds_of(profiles)
+        if topic is not None and topic.type_name == type_name:
+            topic.see(publishers)
+            self._add_offers(topic, profiles)
+            if topic.ears.keys() == kinds:
+                return False
+        elif len(self._intake.topics) + len(self._refused) >= MOST_TOPICS:
+            self.counts['too_many_topics'] = 1
+            return False
+        latched = any(kind.latched for kind in kinds)
+        return self._listen(name, type_name, kinds, latched=latched) is not None
+
+    def _type_of(
+        self, name: str, topic: RecordedTopic | None, publishers: Sequence[TopicEndpointInfo],
+    ) -> str | None:
+        """Return the type to record a topic as, which it keeps from its first message on."""
+        types = dict.fromkeys(one.topic_type for one in publishers)
+        if topic is not None and (topic.number is not None or topic.type_name in types):
+            types.pop(topic.type_name, None)
+            for other in types:
+                self._refuse(name, other, f'it is {topic.type_name} in this bag, not {other}')
+            return topic.type_name if topic.type_name in {
+                one.topic_type for one in publishers} else None
+        return next((one for one in types if (name, one) not in self._refused), None)
+
+    def _add_offers(self, topic: RecordedTopic, profiles: list[dict[str, Any]]) -> None:
+        """Keep the QoS of publishers that came after the first message."""
+        joined = join_profiles(topic.profiles, profiles)
+        if topic.number is not None and len(joined) > len(topic.profiles):
+            topic.profiles = joined
+            self._recording.add_offers(topic.number, joined)
+
+    def _end_if_broken(self) -> None:
+        """
+        Say it in the diagnostics and end the node when the bag can no longer be written.
+
+        Raises:
+            BagError: what went wrong and what it has cost.
+        """
+        if self._intake.error is not None:
+            self.publish_diagnostics()
+            raise BagError(f'recording ended: {self._intake.error!r}')
+        if self._recording.error is not None:
+            self.publish_diagnostics()
+            raise BagError(self._recording.error)
+
+    def _bound_memory(self) -> None:
+        """Drop what waits in DDS when it is too much, with the subscriptions that hold it."""
+        now = time.monotonic()
+        since = now - self._dropped_at
+        if since < 1.0 or resident_bytes() < self._most_bytes:
+            return
+        self._dropped_at = now
+        floods = []
+        for topic in self._intake.topics.values():
+            if topic.publishers and (
+                    since < 5.0 or topic.number is None or topic.largest > SMALL_BYTES):
+                before = resident_bytes()
+                self._listen_anew(topic)
+                let_go_of_freed_memory()
+                if before - resident_bytes() > LEAST_FLOOD_BYTES:
+                    # nobody knows how many there were
+                    topic.did_not_fit += 1
+                    floods.append(plain(topic.name))
+        self.counts['backlogs_dropped'] += len(floods)
+        if floods:
+            self.get_logger().warn(f'a flood: what waited in DDS of {", ".join(floods)} was '
+                                   'dropped, for memory is bounded')
+
+    def _listen_anew(self, topic: RecordedTopic) -> None:
+        """Replace the subscriptions of a topic and forget what waits in them."""
+        with self._intake.lock:
+            # all of them before the first new one: DDS keeps one pool of memory a topic
+            for ear in (*topic.ears.values(), *topic.retired):
+                self.destroy_subscription(ear)
+            topic.retired.clear()
+            topic.ears = {kind: self._subscription(topic, kind) for kind in topic.ears}
+
+    def _say_losses(self) -> None:
+        now = time.monotonic()
+        said, when = self._losses_said
+        topics = list(self._intake.topics.values())
+        lost = sum(topic.lost for topic in topics)
+        if lost == said or now < when + LOSS_LOG_SECONDS:
+            return
+        self._losses_said = (lost, now)
+        no_room = sum(topic.did_not_fit for topic in topics)
+        worst = max(topics, key=lambda topic: topic.lost)
+        self.get_logger().warn(
+            f'{lost} messages were lost so far, most of them of {plain(worst.name)}: '
+            f'{no_room} because the cache was full, the others on the way to the recorder')
+
+    def _names(self) -> set[str]:
         """Return the topics of the graph; none when ROS is shutting down."""
         try:
-            return [name for name, _ in self.get_topic_names_and_types()]
-        except Exception:
+            return {name for name, _ in self.get_topic_names_and_types()}
+        except Exception as error:
             # a signal may shut ROS down in the middle of any call, and calls differ in what they
             # raise then
-            if self.context.ok():
-                raise
-            return []
+            if not self.context.ok():
+                return set()
+            # a name on the wire need not be text; then rclpy says nothing of the whole graph
+            self.counts['failed_looks'] += 1
+            self.get_logger().warn(
+                f'the names of the graph cannot be read, only those of each node: '
+                f'{plain(str(error))}', throttle_duration_sec=LOSS_LOG_SECONDS)
+            return self._names_by_node()
 
-    def _known_publishers(self, name: str) -> list[TopicEndpointInfo]:
-        """Return the publishers of a topic; none when ROS is shutting down."""
+    def _names_by_node(self) -> set[str]:
+        """Return the topics of the nodes whose topics can be read, and those recorded already."""
+        names = set(self._intake.topics)
+        with contextlib.suppress(Exception):
+            for node, space in self.get_node_names_and_namespaces():
+                with contextlib.suppress(Exception):
+                    names.update(name for name, _ in
+                                 self.get_publisher_names_and_types_by_node(node, space))
+        return names
+
+    def _publishers_of(self, name: str) -> list[TopicEndpointInfo]:
+        """Return the publishers of a topic; none when ROS is shutting down or refuses the name."""
         try:
             return self.get_publishers_info_by_topic(name)
-        except Exception:
-            # as above
+        except Exception as error:
             if self.context.ok():
-                raise
+                self._refuse(name, '', str(error))
             return []
-
-    def _poll_forever(self) -> None:
-        looked = time.monotonic()
-        while not self._stop.wait(POLL_SECONDS):
-            if self._recording.full:
-                if not self._full_said:
-                    self._full_said = True
-                    self.counts['cache_full'] += 1
-                    self.get_logger().warn('the disk is too slow: messages wait in DDS')
-                continue
-            self._full_said = False
-            taken = self._poll()
-            before, looked = looked, time.monotonic()
-            self._gather_if_busy(taken / (looked - before))
-        self._gather_if_busy(0)
-
-    def _gather_if_busy(self, messages_per_second: float) -> None:
-        # a lower bound for the way back, so that it does not come and go
-        bound = self.settings.gather_above / (2 if self._gathering else 1)
-        busy = bool(bound) and messages_per_second > bound
-        if busy == self._gathering:
-            return
-        with self._lock:
-            self._gathering = busy
-            for source in self._sources.values():
-                gather_arrivals(source.subscription, gather=busy)
-
-    def _poll(self, *, final: bool = False) -> int:
-        """
-        Take everything that has arrived; return how many messages.
-
-        What arrived after this look began is held until the next one, so that log times never
-        go back in the bag although topics are emptied one after another.
-        """
-        began = time.time_ns()
-        batch = self._held
-        before = len(batch)
-        with self._lock:
-            sources = list(self._sources.values())
-            for source in sources:
-                self._take(source, batch)
-        taken = len(batch) - before
-        if batch:
-            batch.sort(key=itemgetter(0))
-            split = len(batch)
-            while split and batch[split - 1][0] > began and not final:
-                split -= 1
-            self._held = batch[split:]
-            del batch[split:]
-            if batch:
-                self._recording.put(batch)
-        return taken
-
-    def _take(self, source: _Source, batch: list[tuple[int, int, int, bytes]]) -> None:
-        subscription = source.subscription
-        kind = subscription.msg_type
-        with subscription.handle:
-            take = subscription.handle.take_message
-            while (taken := take(kind, True)) is not None:
-                data, info = taken
-                if source.number is None:
-                    self._announce(source)
-                sequence = info['publication_sequence_number'] or 0
-                if sequence != source.sequence + 1 and (source.sequence or source.first):
-                    self._check_gap(source, sequence)
-                source.sequence = sequence
-                batch.append((
-                    info['received_timestamp'] or time.time_ns(), info['source_timestamp'],
-                    source.number, data))
-
-    def _announce(self, source: _Source) -> None:
-        """Give a topic its place in the bag, with the QoS of its publishers."""
-        publishers = self._known_publishers(source.name)
-        source.see(publishers)
-        offered = recorded_qos(publishers) or [offered_qos()]
-        source.number = self._recording.add_topic(source.name, source.type_name, offered)
-
-    def _check_gap(self, source: _Source, sequence: int) -> None:
-        """Count what is missing before a message, if all came from one publisher."""
-        before = source.sequence
-        source.see(self._known_publishers(source.name))
-        if not source.countable or source.sequence != before or not (before or source.first):
-            return
-        lost = sequence - before - 1
-        if lost <= 0:
-            return
-        self.counts[f'lost_{source.name}'] += lost
-        self.get_logger().warn(
-            f'{source.name}: {lost} messages were lost on the way to the recorder',
-            throttle_duration_sec=5.0)
 
 
 def parse_provenance(text: str) -> dict[str, str]:
@@ -386,7 +412,7 @@ def parse_provenance(text: str) -> dict[str, str]:
     Return the entries of a JSON object as texts; an empty text has none.
 
     Raises:
-        BagError: not a JSON object.
+        BagError: not a JSON object, or one that a bag cannot hold.
     """
     if not text:
         return {}
@@ -396,34 +422,32 @@ def parse_provenance(text: str) -> dict[str, str]:
         raise BagError(f'provenance is not JSON: {error}') from None
     if not isinstance(values, dict):
         raise BagError('provenance is not a JSON object')
-    return {key: value if isinstance(value, str) else json.dumps(value)
+    data = {key: value if isinstance(value, str) else json.dumps(value)
             for key, value in values.items()}
+    try:
+        size = len(''.join((*data, *data.values())).encode())
+    except UnicodeEncodeError:
+        raise BagError('provenance holds half a surrogate pair, which is no text') from None
+    if size > MOST_PROVENANCE:
+        raise BagError(f'provenance has {size} bytes; accepted: up to {MOST_PROVENANCE}')
+    return data
 
 
 def _unused(message: object) -> None:
     """Stand in for a callback: the subscriptions are polled."""
 
 
-def _keep_freed_memory() -> None:
-    # only glibc has it
-    with contextlib.suppress(AttributeError):
-        set_option = ctypes.CDLL(None).mallopt
-        for option in (M_TRIM_THRESHOLD, M_MMAP_THRESHOLD):
-            set_option(option, KEPT_BYTES)
+def _end_as_if_terminated(number: int, frame: object) -> None:
+    os.kill(os.getpid(), signal.SIGTERM)
 
 
 def main(args: list[str] | None = None) -> int:
     """Run the recorder; the exit code is 2 if the bag could not be completed."""
     os.nice(NICE)
-    _keep_freed_memory()
-    nodes = []
-
-    def make_node() -> BagRecorderNode:
-        nodes.append(BagRecorderNode())
-        return nodes[0]
-
-    code = run_node(make_node, args)
-    return 2 if any(node.failed for node in nodes) else code
+    # a closed terminal; nohup has it ignored, and so it stays
+    if signal.getsignal(signal.SIGHUP) is signal.SIG_DFL:
+        signal.signal(signal.SIGHUP, _end_as_if_terminated)
+    return run_node(BagRecorderNode, args)
 
 
 if __name__ == '__main__':

@@ -130,6 +130,32 @@ class BagWriter:
         self._register(topic)
         return len(self._topics) - 1
 
+    def add_offers(self, topic: int, qos: Sequence[dict[str, Any]]) -> None:
+        """Replace the profiles of a topic's publishers, for `metadata.yaml` and files to come."""
+        self._topics[topic].qos = list(qos)
+
+    def note(self, key: str, text: str) -> None:
+        """Add a text to `custom_data`, for `metadata.yaml` and the record at a file's end."""
+        self._custom_data[key] = text
+
+    def check_place(self) -> None:
+        """
+        Look whether the bag is still where it was begun.
+
+        Raises:
+            OSError: its folder or its present file was removed, moved or replaced; `lost` says
+                what it cost.
+        """
+        try:
+            self._file.check_place()
+        except OSError:
+            self._file.drop_open_chunk()
+            kept = sum(file.message_count for file in self._files
+                       if (self.folder / file.path).exists())
+            self.lost += self.message_count - kept
+            self.message_count = kept
+            raise
+
     def write(self, topic: int, log_time: int, publish_time: int, data: bytes) -> None:
         """
         Write a serialized message; log and publish time in ns.
@@ -190,6 +216,7 @@ class BagWriter:
             return
         self.closed = True
         try:
+            self.check_place()
             self._end_file()
         finally:
             self._file.close()

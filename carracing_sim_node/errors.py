@@ -2,19 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """The errors of the simulator. Each leaves the environment usable."""
 
-from msgs_bridge.errors import SimulatorError
 
-__all__ = [
-    'EpisodeError', 'InvalidActionError', 'InvalidVariantError', 'RendererUnavailableError',
-    'SimulatorError',
-]
+class SimulatorError(Exception):
+    """Base class of every error that this package raises on purpose."""
 
 
-class InvalidActionError(SimulatorError):
+class InvalidActionError(SimulatorError, ValueError):
     """An action of the wrong shape, not a number, or outside the action space."""
 
 
-class InvalidVariantError(SimulatorError):
+class InvalidVariantError(SimulatorError, ValueError):
     """A parameter of `make_env` with a value that it does not take."""
 
 

@@ -2,6 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recorder and player as real processes over real DDS."""
 from collections import Counter
+import json
+from pathlib import Path
+import re
+import resource
+import shutil
 import signal
 import subprocess
 import sys
@@ -13,6 +18,8 @@ from bags.reader import BagReader
 from bags.recover import recover_bag
 from bags.transitions import bag_transitions
 from bags.verify import verify_bag
+from diagnostic_msgs.msg import DiagnosticStatus
+from forger import TYPES
 from geometry_msgs.msg import Twist
 from graph_probe import kill, ROOT, wait_for
 from mcap.reader import make_reader
@@ -20,7 +27,10 @@ from msgs_bridge import topics
 from msgs_bridge.images import fill_image
 import numpy as np
 import pytest
-from rclpy.qos import DurabilityPolicy, qos_profile_sensor_data, QoSProfile
+from rclpy.duration import Duration
+from rclpy.qos import (
+    DurabilityPolicy, LivelinessPolicy, qos_profile_sensor_data, QoSProfile,
+)
 from rclpy.serialization import deserialize_message
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import get_typestore, Stores
@@ -322,25 +332,188 @@ def test_a_recorder_that_joins_a_drive_calls_nothing_lost(graph, tmp_path):
         assert any('lost: none' in line for line in recorder.words), recorder.words
 
 
-def test_what_arrives_fast_gathers_and_is_handled_at_once_when_it_slows_down(graph, tmp_path):
+def said(child):
+    """Return everything that a node has said."""
+    return child.log.read_text().splitlines()
+
+
+def publish_for(seconds, *talks):
+    """Let publishers send a message each 20 ms; return how often."""
+    began, count = time.monotonic(), 0
+    while time.monotonic() - began < seconds:
+        for publisher, message in talks:
+            publisher.publish(message)
+        count += 1
+        time.sleep(0.02)
+    return count
+
+
+def announce(graph, *words):
+    child = graph.start('forger', [sys.executable, str(ROOT / 'tests/forger.py'), *words])
+    wait_for(lambda: 'announced' in child.words, 10, 'forged types')
+
+
+def test_types_that_are_no_messages_are_named_once_and_the_rest_is_recorded(graph, tmp_path):
+    space = f'/{graph.namespace}'
+    announce(graph, f'{space}/evil')
     recorder = start_recorder(graph, tmp_path / 'bag')
-    publisher = graph.publisher(topics.REWARD)
-    graph.listen(topics.DIAGNOSTICS)
-    wait_for(publisher.get_subscription_count, 10, 'recorder')
-    sent = 0
-    for pause, gathering in ((0.01, 'False'), (0.0002, 'True'), (0.01, 'False')):
-        deadline = time.monotonic() + 20
-        while graph.health(RECORDER[1]).get('gathering') != gathering:
-            assert time.monotonic() < deadline, graph.health(RECORDER[1])
-            for _ in range(int(0.1 / pause)):
-                publisher.publish(Float32(data=float(sent)))
-                sent += 1
-                time.sleep(pause)
-            graph.executor.spin_once(timeout_sec=0)
+
+    def refused():
+        return [line for line in said(recorder) if 'is not recorded' in line]
+    wait_for(lambda: len(refused()) >= len(TYPES), 10, 'all of them')
+    words = graph.probe.create_publisher(String, 'words', 10)
+    wait_for(words.get_subscription_count, 10, 'recorder')
+    publish_for(1.5, (words, String(data='sane')))
     assert stop(recorder) == 0
-    assert any('lost: none' in line for line in recorder.words), recorder.words
+    assert len(refused()) == len(TYPES)
+    assert all('not installed here' in line and len(line) < 300 for line in refused())
+    assert '\x1b' not in recorder.log.read_text()
+    assert not any('recording' in line and 'evil' in line for line in said(recorder))
     with BagReader(tmp_path / 'bag') as reader:
-        name = f'/{graph.namespace}/reward'
-        assert reader.topics[name].message_count == sent
-        times = [message.log_time for message in reader.messages([name])]
-        assert times == sorted(times)
+        assert not any('evil' in name for name in reader.topics)
+        assert reader.topics[f'{space}/words'].message_count > 50
+
+
+def test_a_type_whose_name_is_no_text_does_not_hide_the_other_topics(graph, tmp_path):
+    recorder = start_recorder(graph, tmp_path / 'bag')
+    announce(graph, f'/{graph.namespace}/blank', 'no_text')
+    wait_for(lambda: any('cannot be read' in line for line in said(recorder)), 10, 'notice')
+    words = graph.probe.create_publisher(String, 'words', 10)
+    wait_for(words.get_subscription_count, 10, 'recorder')
+    words.publish(String(data='here'))
+    time.sleep(0.2)
+    assert stop(recorder) == 0
+    with BagReader(tmp_path / 'bag') as reader:
+        assert reader.topics[f'/{graph.namespace}/words'].message_count == 1
+
+
+def test_each_kind_of_publisher_is_heard_and_nothing_comes_twice(graph, tmp_path):
+    space = f'/{graph.namespace}'
+    recorder = start_recorder(graph, tmp_path / 'bag')
+    create = graph.probe.create_publisher
+    reliable = create(String, 'words', QoSProfile(
+        depth=10, deadline=Duration(seconds=5), lifespan=Duration(seconds=60)))
+    wait_for(reliable.get_subscription_count, 10, 'recorder')
+    before = publish_for(1.0, (reliable, String(data='reliable')))
+    # they come later, and ask nothing of the first
+    loose = create(String, 'words', qos_profile_sensor_data)
+    latched = create(String, 'words', QoSProfile(
+        depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL,
+        liveliness=LivelinessPolicy.MANUAL_BY_TOPIC,
+        liveliness_lease_duration=Duration(seconds=9)))
+    for number in range(3):
+        latched.publish(String(data=f'latched {number}'))
+    wait_for(lambda: loose.get_subscription_count() and latched.get_subscription_count() > 1,
+             10, 'a subscription of each kind')
+    after = publish_for(1.0, (reliable, String(data='reliable')), (loose, String(data='loose')))
+    time.sleep(0.2)
+    assert stop(recorder, signal.SIGHUP) == 0
+    with BagReader(tmp_path / 'bag') as reader:
+        counts = Counter(deserialize_message(bytes(one.data), String).data
+                         for one in reader.messages([f'{space}/words']))
+        topic, = [one for one in reader.metadata.topics if one.name == f'{space}/words']
+    assert counts.pop('reliable') == before + after
+    assert after - 3 <= counts.pop('loose') <= after
+    assert counts == {f'latched {number}': 1 for number in range(3)}
+    assert [(one['reliability'], one['durability'], one['liveliness'], one['deadline']['sec'],
+             one['lifespan']['sec'], one['liveliness_lease_duration']['sec'])
+            for one in topic.qos] == [
+        ('reliable', 'volatile', 'automatic', 5, 60, 9223372036),
+        ('best_effort', 'volatile', 'automatic', 9223372036, 9223372036, 9223372036),
+        ('reliable', 'transient_local', 'manual_by_topic', 9223372036, 9223372036, 9)]
+
+
+def test_what_waits_in_dds_when_a_recorder_is_stopped_is_in_the_bag(graph, tmp_path):
+    recorder = start_recorder(graph, tmp_path / 'bag')
+    publishers = [graph.publisher(topic) for topic in (topics.STEP, topics.CMD_VEL)]
+    wait_for(lambda: all(one.get_subscription_count() for one in publishers), 10, 'recorder')
+    # a machine so busy that the recorder does not get to run at all
+    recorder.process.send_signal(signal.SIGSTOP)
+    for number in range(1000):
+        publishers[0].publish(JointState(name=['number'], position=[float(number)]))
+        publishers[1].publish(graph_twist())
+    recorder.process.send_signal(signal.SIGTERM)
+    recorder.process.send_signal(signal.SIGCONT)
+    assert recorder.process.wait(5) == 0
+    assert any('lost: none' in line for line in said(recorder)), said(recorder)
+    with BagReader(tmp_path / 'bag') as reader:
+        for name in ('step', 'cmd_vel'):
+            assert reader.topics[f'/{graph.namespace}/{name}'].message_count == 1000
+        assert json.loads(reader.custom_data['lost_messages']) == {}
+
+
+def remove(recorder, folder):
+    shutil.rmtree(folder)
+
+
+def replace(recorder, folder):
+    (folder / 'bag_0.mcap').unlink()
+    (folder / 'bag_0.mcap').write_bytes(bytes(1 << 20))
+
+
+def fill_up(recorder, folder):
+    resource.prlimit(recorder.process.pid, resource.RLIMIT_FSIZE, (10_000, 10_000))
+
+
+@pytest.mark.parametrize(('break_it', 'reason'), [
+    (remove, 'bag_0.mcap was removed'), (replace, 'bag_0.mcap was removed, moved or replaced'),
+    (fill_up, 'File too large')])
+def test_a_recorder_that_no_longer_writes_says_so_and_ends(graph, tmp_path, break_it, reason):
+    recorder = start_recorder(graph, tmp_path / 'bag', chunk_seconds=0.1)
+    graph.listen(topics.DIAGNOSTICS)
+    steps = graph.publisher(topics.STEP)
+    wait_for(steps.get_subscription_count, 10, 'recorder')
+    publish_for(0.5, (steps, JointState(name=['value'], position=[1.0])))
+    break_it(recorder, tmp_path / 'bag')
+    until = time.monotonic() + 10
+    while recorder.process.poll() is None and time.monotonic() < until:
+        publish_for(0.1, (steps, JointState(name=['value'], position=[1.0])))
+    assert recorder.process.poll() == 2
+    told = [line for line in said(recorder) if line.startswith('error:')]
+    assert len(told) == 1
+    assert reason in told[0]
+    assert not any('Traceback' in line for line in said(recorder))
+    graph.spin(0.1)
+    levels = [status.level for message in graph.messages[topics.DIAGNOSTICS.name]
+              for status in message.status if status.name.endswith(RECORDER[1])]
+    assert DiagnosticStatus.ERROR in levels
+
+
+def test_a_recorder_that_is_stopped_without_its_bag_does_not_call_that_a_success(graph, tmp_path):
+    recorder = start_recorder(graph, tmp_path / 'bag')
+    recorder.process.send_signal(signal.SIGSTOP)
+    remove(recorder, tmp_path / 'bag')
+    recorder.process.send_signal(signal.SIGINT)
+    recorder.process.send_signal(signal.SIGCONT)
+    assert recorder.process.wait(5) == 2
+    assert sum('was removed' in line for line in said(recorder)) == 1
+
+
+def test_a_flood_of_large_images_is_bounded_counted_and_over(graph, tmp_path):
+    recorder = start_recorder(graph, tmp_path / 'bag', cache_bytes=4 << 20)
+    camera, steps = graph.publisher(topics.IMAGE), graph.publisher(topics.STEP)
+    wait_for(lambda: camera.get_subscription_count() and steps.get_subscription_count(), 10,
+             'recorder')
+    before = memory(recorder)
+    # of 600 MB DDS would keep each byte
+    flood = Image(height=4000, width=4000, encoding='rgb8', step=12_000, data=bytes(48_000_000))
+    most = 0
+    for _ in range(13):
+        camera.publish(flood)
+        most = max(most, memory(recorder) - before)
+    graph.probe.destroy_publisher(camera)
+    wait_for(lambda: memory(recorder) - before < 100 << 20, 10, 'settled memory')
+    for _ in range(50):
+        steps.publish(JointState(name=['value'], position=[1.0]))
+        time.sleep(0.01)
+    assert stop(recorder) == 0
+    assert most < 500 << 20
+    with BagReader(tmp_path / 'bag') as reader:
+        assert json.loads(reader.custom_data['lost_messages'])[f'/{graph.namespace}/image_raw']
+        assert reader.topics[f'/{graph.namespace}/step'].message_count == 50
+
+
+def memory(child):
+    """Return the resident bytes of a node."""
+    status = Path(f'/proc/{child.process.pid}/status').read_text()
+    return int(re.search(r'VmRSS:\s+(\d+)', status)[1]) << 10
