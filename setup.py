@@ -11,7 +11,8 @@ README = Path(__file__).resolve().with_name('README.md')
 PACKAGES = [
     'msgs_bridge', 'msgs_bridge.transport', 'carracing_sim_node', 'dqn_policy_node',
     'trainer_node', 'bags', 'carracing_dqn',
-    'carracing_dqn.bringup', 'carracing_dqn.evaluation', 'carracing_dqn.benchmarks',
+    'carracing_dqn.bringup', 'carracing_dqn.evaluation', 'carracing_dqn.simulation',
+    'carracing_dqn.benchmarks',
 ]
 SHARED = ('launch', 'config', 'models')
 

@@ -75,7 +75,21 @@ class CarRacingEnvironment(gymnasium.Env):
         continuous: bool = True,
     ) -> None:
         """
-        Create the environment; `make_env` describes the parameters.
+        Create the environment.
+
+        Args:
+            action_repeat: Frames for which one `step` holds its action; only the last is drawn.
+            zoom: False draws the first second with the zoom that follows it (a variant).
+            early_end_frames: Truncate an episode after this many frames without a new tile
+                (a variant); 0 never does.
+            early_end_lap: Truncate an episode when the car has come round to the start and left
+                tiles behind unvisited (a variant).
+            domain_randomize: Gymnasium's own variant: other colours with every reset.
+            max_episode_steps: Truncate after this many frames; None never does.
+            renderer: `fast` (raises if it cannot run), `stock` (gymnasium's own code throughout),
+                or `auto`: fast where it can run and equals gymnasium, otherwise stock with a
+                warning.
+            continuous: False takes gymnasium's five discrete actions.
 
         Raises:
             InvalidVariantError: If a parameter has a value that it does not take.
@@ -183,18 +197,52 @@ class CarRacingEnvironment(gymnasium.Env):
             InvalidActionError: If the action is not an element of the action space.
             EpisodeError: If there was no `reset`, or the episode is over.
         """
+        self._check_running()
+        frames, reward, terminated, truncated, info = self._hold(
+            self._controls(action), self.action_repeat)
+        if self.action_repeat > 1:
+            info['frames'] = frames
+        return self._renderer.draw() if draw else None, reward, terminated, truncated, info
+
+    def advance(
+        self, controls: tuple[float, float, float], frames: int, *, draw: bool = True
+    ) -> tuple[np.ndarray | None, float, bool, bool, int]:
+        """
+        Do what `step` does for any number of frames, with controls that are known to be good.
+
+        Args:
+            controls: Steer in [-1, 1], gas and brake in [0, 1].
+            frames: For how many frames to hold them, at most.
+            draw: As in `step`.
+
+        Returns:
+            The frame, the sum of the rewards, whether the episode has terminated, whether it was
+            truncated, and how many frames were simulated.
+
+        Raises:
+            EpisodeError: If there was no `reset`, or the episode is over.
+        """
+        self._check_running()
+        frames, reward, terminated, truncated, _ = self._hold(controls, frames)
+        return self._renderer.draw() if draw else None, reward, terminated, truncated, frames
+
+    def _check_running(self) -> None:
         if not self._running:
             raise EpisodeError('no episode is running; call reset() first')
         if self._ended:
             raise EpisodeError('the episode is over; call reset() to start the next one')
-        steer, gas, brake = self._controls(action)
 
+    def _hold(
+        self, controls: tuple[float, float, float], limit: int
+    ) -> tuple[int, float, bool, bool, dict[str, Any]]:
+        """Simulate up to `limit` frames; return how many, reward, ends and gymnasium's info."""
+        steer, gas, brake = controls
         sim = self._sim
         reward = 0.0
         frames = 0
         terminated = truncated = False
         info: dict[str, Any] = {}
-        while frames < self.action_repeat:
+        while frames < limit:
             tiles = sim.tile_visited_count
             frame_reward, lap_finished, off_field = sim.advance(steer, gas, brake)
             frames += 1
@@ -216,9 +264,7 @@ class CarRacingEnvironment(gymnasium.Env):
             if terminated or truncated:
                 self._ended = True
                 break
-        if self.action_repeat > 1:
-            info['frames'] = frames
-        return self._renderer.draw() if draw else None, reward, terminated, truncated, info
+        return frames, reward, terminated, truncated, info
 
     def facts(self) -> Facts:
         """
@@ -332,44 +378,5 @@ def _check_count(name: str, value: Any, *, least: int) -> None:
         )
 
 
-def make_env(
-    *,
-    action_repeat: int = 1,
-    zoom: bool = True,
-    early_end_frames: int = 0,
-    early_end_lap: bool = False,
-    domain_randomize: bool = False,
-    max_episode_steps: int | None = MAX_EPISODE_STEPS,
-    renderer: str = 'auto',
-    continuous: bool = True,
-) -> CarRacingEnvironment:
-    """
-    Create a CarRacing-v3 environment.
-
-    Args:
-        action_repeat: Frames for which one `step` holds its action; only the last is drawn.
-        zoom: False draws the first second with the zoom that follows it (a variant).
-        early_end_frames: Truncate an episode after this many frames without a new tile
-            (a variant); 0 never does.
-        early_end_lap: Truncate an episode when the car has come round to the start and left
-            tiles behind unvisited (a variant).
-        domain_randomize: Gymnasium's own variant: other colours with every reset.
-        max_episode_steps: Truncate after this many frames; None never does.
-        renderer: `fast` (raises if it cannot run), `stock` (gymnasium's own code throughout), or
-            `auto`: fast where it can run and equals gymnasium, otherwise stock with a warning.
-        continuous: False takes gymnasium's five discrete actions.
-
-    Raises:
-        InvalidVariantError: If a parameter has a value that it does not take.
-        RendererUnavailableError: If the renderer `fast` is asked for and cannot run.
-    """
-    return CarRacingEnvironment(
-        action_repeat=action_repeat,
-        zoom=zoom,
-        early_end_frames=early_end_frames,
-        early_end_lap=early_end_lap,
-        domain_randomize=domain_randomize,
-        max_episode_steps=max_episode_steps,
-        renderer=renderer,
-        continuous=continuous,
-    )
+make_env = CarRacingEnvironment
+"""What users of the environment call, beside `gymnasium.make`."""

@@ -2,16 +2,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """The errors of the simulator. Each leaves the environment usable."""
 
+from msgs_bridge.errors import SimulatorError
 
-class SimulatorError(Exception):
-    """Base class of every error that this package raises on purpose."""
+__all__ = [
+    'EpisodeError', 'InvalidActionError', 'InvalidVariantError', 'RendererUnavailableError',
+    'SimulatorError',
+]
 
 
-class InvalidActionError(SimulatorError, ValueError):
+class InvalidActionError(SimulatorError):
     """An action of the wrong shape, not a number, or outside the action space."""
 
 
-class InvalidVariantError(SimulatorError, ValueError):
+class InvalidVariantError(SimulatorError):
     """A parameter of `make_env` with a value that it does not take."""
 
 

@@ -21,4 +21,5 @@ CONSTANTS = {
     'domain_randomize': '1 in the variant with random colours',
     'early_end_frames': 'frames without a new tile that end an episode; 0 = never',
     'early_end_lap': '1 in the variant that ends an episode when the car has come round',
+    'max_episode_frames': 'frames after which an episode is truncated',
 }

@@ -62,7 +62,7 @@ def build(name: str, *, domain_randomize: bool, settled_zoom: bool) -> tuple[Sim
         warnings.warn(
             f"{obstacle}; using gymnasium's own code, which is much slower",
             RendererWarning,
-            stacklevel=4,
+            stacklevel=3,
         )
     if name == 'stock' or obstacle:
         sim = Simulation(domain_randomize=domain_randomize, own_code=False)

@@ -4,6 +4,7 @@
 
 from collections.abc import Callable
 from math import sqrt
+from types import SimpleNamespace
 from typing import Any
 
 from gymnasium.envs.box2d.car_racing import FPS
@@ -15,6 +16,7 @@ from carracing_sim_node.car_step import press_pedals
 from carracing_sim_node.car_step import push_wheels
 from carracing_sim_node.contacts import TileContacts
 from carracing_sim_node.contacts import WatchedContacts
+from carracing_sim_node.errors import InvalidActionError
 
 STANDING_SPEED = 1.0
 """Below this speed of the hull, in units per second, the car stands (full speed is about 100)."""
@@ -71,7 +73,15 @@ class Simulation(CarRacing):
         return None, {}
 
     def step(self, action: None) -> tuple[None, float, bool, bool, dict]:
-        """Simulate the one frame without controls that gymnasium's `reset` asks for."""
+        """
+        Simulate the one frame without controls that gymnasium's `reset` asks for.
+
+        Raises:
+            InvalidActionError: somebody means to drive, which `advance` does.
+        """
+        if action is not None:
+            raise InvalidActionError(
+                f'action is {action!r}; a Simulation is driven by advance(steer, gas, brake)')
         if self._own_code:
             self._simulate()
         else:
@@ -110,30 +120,20 @@ class Simulation(CarRacing):
             reward = OFF_FIELD_REWARD
         return reward, lap_finished, off_field
 
-    def skip_reset(self, randomize: bool = True) -> None:
-        """
-        Use the random numbers of one `reset` up and leave everything else as it is.
-
-        Args:
-            randomize: Whether that reset would have changed the colours, with domain
-                randomisation.
-        """
-        kept = self.__dict__.copy()
-        self.world = _NoWorld()
-        try:
-            if self.domain_randomize:
-                self._reinit_colors(randomize)
-            if self._own_code:
-                while self._lay_track(self.np_random) is None:
-                    pass
-                return
-            while True:
-                self.road_poly = []
-                if CarRacing._create_track(self):
-                    break
-        finally:
-            kept['_np_random'] = self._np_random
-            self.__dict__.update(kept)
+    def skip_reset(self) -> None:
+        """Use the random numbers of one `reset` up; the next episode has to begin with another."""
+        if self.domain_randomize:
+            self._reinit_colors(True)
+        if self._own_code:
+            while self._lay_track(self.np_random) is None:
+                pass
+            return
+        # gymnasium's method writes the track into whatever it is given
+        stand_in = SimpleNamespace(
+            np_random=self.np_random, road_color=self.road_color, fd_tile=self.fd_tile,
+            world=_NoWorld(), road_poly=[], verbose=False)
+        while not CarRacing._create_track(stand_in):
+            pass
 
     def tile_faded(self, index: int) -> None:
         """Pass on that tile `index` has taken the plain road colour."""

@@ -13,3 +13,7 @@ class MessageError(BridgeError):
 
 class SettingsError(BridgeError):
     """A setting that is unknown or out of range; the text names what is accepted."""
+
+
+class SimulatorError(BridgeError):
+    """A simulator that is not there, or that cannot go on; the text names what and why."""

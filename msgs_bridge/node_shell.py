@@ -29,6 +29,7 @@ from rcl_interfaces.msg import (
 )
 import rclpy
 from rclpy.callback_groups import CallbackGroup
+from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import InvalidParameterTypeException, ParameterException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
@@ -76,14 +77,24 @@ class NodeShell(Node):
         held_back: whether a learner holds this node back, see `serve_hold`.
     """
 
-    def __init__(self, name: str, settings_class: type) -> None:
+    def __init__(
+        self, name: str, settings_class: type | Callable[[dict[str, object]], type],
+    ) -> None:
         """
         Declare the parameters and start the 1 Hz diagnostics.
+
+        Args:
+            name: of the node.
+            settings_class: its settings, or what finds them by the parameters that were given.
 
         Raises:
             SettingsError: a parameter that is unknown or not accepted.
         """
+        self._wall = Clock(clock_type=ClockType.STEADY_TIME)
         super().__init__(name)
+        if not isinstance(settings_class, type):
+            settings_class = settings_class(
+                {key: given.value for key, given in self._parameter_overrides.items()})
         self.counts: Counter[str] = Counter()
         self.held_back = False
         self._eager: list[Any] = []
@@ -93,6 +104,14 @@ class NodeShell(Node):
         self.add_on_set_parameters_callback(self._on_set_parameters)
         self._diagnostics = self.publisher(topics.DIAGNOSTICS)
         self.create_timer(1.0, self.publish_diagnostics)
+
+    def create_timer(
+        self, timer_period_sec: float, callback: Callable[[], None],
+        callback_group: CallbackGroup | None = None, clock: Clock | None = None, **options: Any,
+    ) -> Any:
+        """Create a timer that runs by wall time, unless a clock is given: /clock may stand."""
+        return super().create_timer(
+            timer_period_sec, callback, callback_group, clock or self._wall, **options)
 
     def publisher(self, topic: Topic, *, type_name: str | None = None) -> Any:
         """Create the publisher of a topic of the contract."""

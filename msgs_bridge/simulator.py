@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+import dataclasses
+from types import MappingProxyType
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -16,7 +18,7 @@ class Outcome(NamedTuple):
     What came of a reset or of a command.
 
     Attributes:
-        pixels: uint8 (H, W, 3) rgb, of one size for the whole run.
+        pixels: uint8 (H, W, 3) rgb, of one size for the whole run, an array of its own.
         reward: since the outcome before, the environment's own; 0 after a reset.
         terminated: whether the rules ended the episode: nothing comes after.
         truncated: whether the episode was cut off: more would have come.
@@ -25,34 +27,53 @@ class Outcome(NamedTuple):
     """
 
     pixels: np.ndarray
-    reward: float
-    terminated: bool
-    truncated: bool
-    info: Mapping[str, float]
-    frames: int
+    reward: float = 0.0
+    terminated: bool = False
+    truncated: bool = False
+    info: Mapping[str, float] = MappingProxyType({})
+    frames: int = 0
+
+
+@dataclasses.dataclass(frozen=True)
+class NoSettings:
+    """The settings of a simulator that has none."""
 
 
 class Simulator(Protocol):
     """
     A world that is driven by commands and seen in pixels.
 
-    A class of this kind has a settings class (`msgs_bridge.settings`) as its attribute
-    `Settings`, of which its constructor takes an instance; the settings become parameters of the
-    node. What it raises on purpose is a `BridgeError`.
+    Inherit from this class: then what is given below need not be written. What a simulator raises
+    on purpose is a `BridgeError`, best a `SimulatorError`; it ends the node with one line.
 
     Attributes:
+        Settings: settings class (`msgs_bridge.settings`), of which the constructor takes an
+            instance; the settings become parameters of the node. A setting of the node's own,
+            such as `action_repeat`, that is declared again gets another default here.
         frame_seconds: simulated seconds of one frame.
         constants: values by name that stay as they are for a run (variants, settings); they
-            travel once, with `episode`.
+            travel once, with `episode`. What bears the name of a setting is its value.
+        seeded: whether `reset` obeys seeds; if not, it is never given any.
+        deterministic: whether the same seed and commands give the same outcomes to the last bit,
+            so that `carracing bag verify` can drive a bag again.
+        draws_on_request: whether `advance` takes `draw`; with False it may return None in place
+            of pixels and save the time.
+        description: a few words for the log, such as the renderer in use.
     """
 
+    Settings: type = NoSettings
     frame_seconds: float
-    constants: Mapping[str, float]
+    constants: Mapping[str, float] = MappingProxyType({})
+    seeded: bool = True
+    deterministic: bool = False
+    draws_on_request: bool = False
+    description: str = ''
 
     def reset(self, seed: int | None) -> Outcome:
         """Begin an episode; None goes on with the stream of the seed before."""
+        ...
 
-    def advance(self, command: Command, frames: int) -> Outcome:
+    def advance(self, command: Command, frames: int = 1) -> Outcome:
         """
         Hold a command for some simulated frames, fewer if the episode ends; draw the last.
 
@@ -60,6 +81,12 @@ class Simulator(Protocol):
             command: within [-1, 1].
             frames: at least 1.
         """
+        ...
+
+    def skip(self, episodes: int, seed: int | None) -> None:
+        """Go past some resets, the first of them with a seed if one is given."""
+        for number in range(episodes):
+            self.reset(None if number else seed)
 
     def close(self) -> None:
         """Let go of what it holds."""

@@ -8,8 +8,7 @@ from pathlib import Path
 from bags.decode import typestore
 from bags.qos_text import offered_qos
 from bags.writer import BagWriter
-from carracing_sim_node.drive import Drive
-from carracing_sim_node.settings import SimulatorSettings
+from carracing_dqn.simulation import open_drive
 from msgs_bridge.topics import CLOCK, CMD_VEL, EPISODE, IMAGE, Q_VALUES, REWARD, STEP
 from msgs_bridge.twists import Command
 import numpy as np
@@ -82,10 +81,10 @@ class DriveRecorder:
 
     def frame(self, frame) -> None:
         self.put(CLOCK, clock(frame.stamp))
-        self.put(STEP, bundle(frame.stamp, frame.facts))
-        self.put(REWARD, message(REWARD, frame.facts['reward']))
-        if frame.summary is not None:
-            self.put(EPISODE, bundle(frame.stamp, frame.summary))
+        self.put(STEP, bundle(frame.stamp, frame.step.values()))
+        self.put(REWARD, message(REWARD, frame.step.reward))
+        if frame.episode is not None:
+            self.put(EPISODE, bundle(frame.stamp, frame.episode))
         self.put(IMAGE, image(frame.stamp, frame.pixels))
 
 
@@ -108,7 +107,7 @@ def record_drive(
     """
     values = {'seed': 5, 'seed_each_episode': True, 'max_episode_frames': decisions,
               **(settings or {})}
-    drive = Drive(SimulatorSettings(**values))
+    drive = open_drive(values)
     recorder = DriveRecorder(
         folder, namespace=namespace, provenance={'simulator': values}, **options)
     number = 0
@@ -118,7 +117,7 @@ def record_drive(
             if number >= skip_first:
                 recorder.frame(change(frame))
             number += 1
-            if frame.ended:
+            if frame.step.ended:
                 break
             command = drive_with(drive.decision)
             # a twist carries 64-bit numbers, so the simulator gets exactly these

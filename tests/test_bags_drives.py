@@ -23,6 +23,7 @@ from bags.writer import BagWriter
 from carracing_sim_node import make_env
 from carracing_sim_node.controls import controls
 from msgs_bridge.step import STEP_CORE
+from msgs_bridge.step import read_step
 from msgs_bridge.topics import CMD_VEL, IMAGE, STEP
 from msgs_bridge.twists import Command
 import numpy as np
@@ -149,12 +150,12 @@ def test_an_episode_that_began_before_the_recording_is_passed_over(tmp_path):
 def falsified(tmp_path, decision, **changes):
     """Record a drive in which the second episode's frame of a decision is not what happened."""
     def change(frame):
-        if frame.facts['episode'] == 1 and frame.facts['decision'] == decision:
+        if frame.step.episode == 1 and frame.step.decision == decision:
             pixels = frame.pixels.copy()
             pixels[40, 50, 1] ^= changes.get('pixel', 0)
-            facts = {**frame.facts, **{name: value for name, value in changes.items()
-                                       if name != 'pixel'}}
-            return dataclasses.replace(frame, pixels=pixels, facts=facts)
+            values = {**frame.step.values(), **changes}
+            values.pop('pixel', None)
+            return dataclasses.replace(frame, pixels=pixels, step=read_step(values))
         return frame
     return verified(record_drive(tmp_path / 'bag', change=change))
 

@@ -14,7 +14,7 @@ MODEL = PolicySource('model', 'some_model')
 
 
 def summary(seed):
-    return {**dict.fromkeys(EPISODE_CORE, 0.0), 'seed': float(seed), 'frames': 1000.0,
+    return {**dict.fromkeys(EPISODE_CORE, 0.0), 'seed': float(seed), 'step': 1000.0,
             'episode_return': 900.1 + 1e-9, 'tiles_total': 300.0, 'lap_finished': 1.0,
             'tiles_visited': 0.0, 'left_field': 0.0, 'standing_still': 0.0}
 

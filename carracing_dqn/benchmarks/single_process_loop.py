@@ -17,12 +17,10 @@ from pathlib import Path
 import sys
 import time
 
-from carracing_sim_node.drive import Drive
-from carracing_sim_node.settings import SimulatorSettings
 from dqn_policy_node.policy import Policy
 from dqn_policy_node.weights_message import decode_weights
 from carracing_dqn.evaluation.validator import validate
-from msgs_bridge.step import read_step
+from carracing_dqn.simulation import open_drive
 from msgs_bridge.transitions import Transition
 from trainer_node.hyperparameters import load_preset
 from trainer_node.open_run import read_overrides
@@ -43,8 +41,8 @@ def learn(
         validating: whether to drive validations in this process when they are due.
     """
     settings = training.settings
-    drive = Drive(SimulatorSettings(
-        **settings.simulator_parameters(), first_episode=training.episodes))
+    drive = open_drive({
+        **settings.simulator_parameters(), 'first_episode': training.episodes})
     policy = Policy(training.description, seed=settings.seed)
     policy.action_repeat = settings.action_repeat
     started = reported = time.monotonic()
@@ -61,7 +59,7 @@ def learn(
                     judge, range(first, first + settings.validation_tracks),
                     version=update.version))
                 report(training.status())
-        if frame is None or frame.ended:
+        if frame is None or frame.step.ended:
             frame = drive.begin()
             policy.reset()
         before = frame
@@ -69,7 +67,7 @@ def learn(
         frame = drive.advance(command, before.stamp)
         training.add(Transition(
             before.stamp, frame.stamp, before.pixels, frame.pixels, command,
-            read_step(frame.facts), read_step(before.facts)))
+            frame.step, before.step))
         if training.checkpoint_due():
             training.save()
         if time.monotonic() - reported > 10:

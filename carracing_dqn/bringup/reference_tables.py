@@ -20,7 +20,7 @@ from msgs_bridge.settings import markdown_table
 from msgs_bridge.topics import TOPICS
 
 SETTINGS = {
-    'carracing_sim_node': ('carracing_sim_node.settings', 'SimulatorSettings'),
+    'carracing_sim_node': ('carracing_dqn.simulation.settings', 'node_settings'),
     'dqn_policy_node': ('dqn_policy_node.settings', 'PolicySettings'),
     'trainer_node': ('trainer_node.settings', 'TrainerSettings'),
     'validation_node': ('carracing_dqn.evaluation.settings', 'ValidationSettings'),
@@ -59,7 +59,9 @@ def table(name: str) -> str:
     if name == 'topics':
         return topics_table()
     module, settings = SETTINGS[name]
-    return markdown_table(getattr(importlib.import_module(module), settings))
+    found = getattr(importlib.import_module(module), settings)
+    # the settings of a simulator node are those of the simulator, too, by default of CarRacing
+    return markdown_table(found if isinstance(found, type) else found())
 
 
 def with_tables(text: str) -> str:

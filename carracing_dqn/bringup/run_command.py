@@ -86,18 +86,18 @@ def laps_table(state: GraphState) -> Table:
         table.add_column(column, justify='right')
     for lap in state.episodes:
         table.add_row(
-            f'{lap["seed"]:.0f}', f'{lap["episode_return"]:.1f}', f'{lap["frames"]:.0f}',
-            f'{lap["tiles_visited"]:.0f}/{lap["tiles_total"]:.0f}', lap_end(lap))
+            f'{lap["seed"]:.0f}', f'{lap["episode_return"]:.1f}', f'{lap["step"]:.0f}',
+            f'{lap["tiles_visited"]:.0f}/{lap["tiles_total"]:.0f}'
+            if 'tiles_total' in lap else '-', lap_end(lap))
     return table
 
 
 def lap_end(lap: dict[str, float]) -> str:
     """Return how an episode ended, in words."""
-    if lap['lap_finished']:
-        return 'lap finished'
-    if lap['left_field']:
-        return 'left the field'
-    return 'ended early' if lap['ended_early'] else 'time over'
+    for name in ('lap_finished', 'left_field', 'ended_early'):
+        if lap.get(name):
+            return name.replace('_', ' ').replace('left', 'left the')
+    return 'ended' if lap['terminated'] else 'time over'
 
 
 def laps_line(state: GraphState) -> str:
@@ -108,7 +108,7 @@ def laps_line(state: GraphState) -> str:
     laps = f'{len(state.episodes)} lap{"s" if len(state.episodes) > 1 else ""}'
     return (f'{laps}, mean return '
             f'{mean_return(state):.1f}; last: {lap["episode_return"]:.1f} in '
-            f'{lap["frames"]:.0f} frames, {lap_end(lap)}')
+            f'{lap["step"]:.0f} frames, {lap_end(lap)}')
 
 
 def mean_return(state: GraphState) -> float:

@@ -85,7 +85,7 @@ def lap_of(summary: Mapping[str, float], seconds: float) -> Lap:
     return Lap(
         seed=int(summary['seed']),
         episode_return=round(float(summary['episode_return']), RETURN_DIGITS),
-        frames=int(summary['frames']), tiles_visited=int(summary['tiles_visited']),
+        frames=int(summary['step']), tiles_visited=int(summary['tiles_visited']),
         tiles_total=int(summary['tiles_total']), lap_finished=bool(summary['lap_finished']),
         left_field=bool(summary['left_field']), standing_still=int(summary['standing_still']),
         seconds=seconds)

@@ -1,0 +1,292 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""Episodes of any simulator one after the other on one clock: what its node says, without ROS."""
+from __future__ import annotations
+
+from collections.abc import Mapping
+import dataclasses
+import math
+import time
+from typing import Any
+
+import numpy as np
+
+from carracing_dqn.simulation.registry import DEFAULT, find_simulator
+from carracing_dqn.simulation.settings import settings_for, SimulationSettings
+from msgs_bridge.errors import SimulatorError
+from msgs_bridge.images import MAX_SIDE
+from msgs_bridge.settings import from_mapping
+from msgs_bridge.simulator import Outcome, Simulator
+from msgs_bridge.stamps import NANOSECONDS
+from msgs_bridge.step import CONTRACT_VERSION, EPISODE_CORE, Step, STEP_CORE, STEP_INFO
+from msgs_bridge.twists import Command, STOP
+
+# A gap that no camera makes between frames, so that a policy sees a new scene by stamps alone.
+RESET_NANOSECONDS = NANOSECONDS
+# simulated seconds of a frame
+SHORTEST_FRAME, LONGEST_FRAME = 1e-6, 10.0
+# episodes that are passed over at once, between two looks at the clock
+SKIPPED_AT_ONCE = 16
+
+
+@dataclasses.dataclass(frozen=True)
+class Frame:
+    """
+    One published frame.
+
+    Attributes:
+        stamp: simulation time in ns.
+        pixels: uint8 (H, W, 3) rgb.
+        step: what goes out as `step`.
+        episode: what goes out as `episode` on the first and the last frame of one, else None.
+    """
+
+    stamp: int
+    pixels: np.ndarray
+    step: Step
+    episode: dict[str, float] | None
+
+
+class Drive:
+    """
+    A series of episodes; `begin` starts the next one, `advance` drives one decision.
+
+    Attributes:
+        simulator: what is driven.
+        settings: which episodes, and how many simulated frames to a published one.
+        episode: number of the present episode, -1 before the first.
+        stamp: simulation time in ns; it never goes back.
+        running: whether an episode has begun and not ended.
+    """
+
+    def __init__(self, simulator: Simulator, settings: SimulationSettings) -> None:
+        """
+        Take a simulator; nothing is driven yet.
+
+        Raises:
+            SimulatorError: its frames last no acceptable time, or its constants are no numbers.
+        """
+        self.simulator = simulator
+        self.settings = settings
+        self.episode = settings.first_episode - 1
+        self.stamp = 0
+        self.running = False
+        self._checks = _Checks(settings.simulator)
+        self._frame_nanoseconds = self._checks.frame_nanoseconds(simulator)
+        # longer than the gap between two frames, however long those last
+        self._reset_nanoseconds = max(
+            RESET_NANOSECONDS, 2 * settings.action_repeat * self._frame_nanoseconds)
+        self._constants = {
+            'contract_version': float(CONTRACT_VERSION),
+            'frame_seconds': float(simulator.frame_seconds),
+            'action_repeat': float(settings.action_repeat),
+            **self._checks.constants(simulator)}
+        # of the episodes before the first, those that are still to be passed over
+        self._to_skip = (
+            settings.first_episode if simulator.seeded and not settings.seed_each_episode else 0)
+        self._stream_seed: int | None = settings.seed
+        self._decision = self._frames = self._unanswered = 0
+        self._return = 0.0
+
+    @property
+    def finished(self) -> bool:
+        """Return whether all episodes asked for have been begun."""
+        wanted = self.settings.episodes
+        return wanted > 0 and self.episode + 1 >= self.settings.first_episode + wanted
+
+    @property
+    def decision(self) -> int:
+        """Return the number of the newest frame within its episode."""
+        return self._decision
+
+    @property
+    def seed(self) -> int:
+        """Return the seed of the present episode; -1 when it came from the stream, or is none."""
+        if not self.simulator.seeded:
+            return -1
+        if self.settings.seed_each_episode:
+            return self.settings.seed + self.episode
+        return self.settings.seed if self.episode == 0 else -1
+
+    def skip_for(self, seconds: float) -> int:
+        """
+        Pass over episodes before the first for some time; return how many are left.
+
+        A stream has to go past every one of them, which may take long.
+        """
+        until = time.monotonic() + seconds
+        while self._to_skip and time.monotonic() < until:
+            count = min(self._to_skip, SKIPPED_AT_ONCE)
+            self.simulator.skip(count, self._stream_seed)
+            self._to_skip -= count
+            self._stream_seed = None
+        return self._to_skip
+
+    def begin(self) -> Frame:
+        """
+        Reset to the next episode and return its first frame.
+
+        Raises:
+            SimulatorError: what the simulator gives is none of what it owes.
+            BridgeError: what it raises on purpose.
+        """
+        self.skip_for(math.inf)
+        self.episode += 1
+        if not self.simulator.seeded:
+            outcome = self.simulator.reset(None)
+        elif self.settings.seed_each_episode:
+            outcome = self.simulator.reset(self.seed)
+        else:
+            outcome = self.simulator.reset(self._stream_seed)
+            self._stream_seed = None
+        self._checks.outcome(outcome, 0)
+        self.running = True
+        self._decision = self._frames = self._unanswered = 0
+        self._return = 0.0
+        self.stamp += self._reset_nanoseconds
+        step = self._step(outcome._replace(reward=0.0, terminated=False, truncated=False),
+                          STOP, None)
+        return Frame(self.stamp, outcome.pixels, step, self._summary(step))
+
+    def advance(self, command: Command, applied: int | None) -> Frame:
+        """
+        Drive one decision and return the frame that follows.
+
+        Args:
+            command: within [-1, 1].
+            applied: stamp in ns of the twist it came from; None when there was none.
+
+        Raises:
+            SimulatorError: no episode is running, or what the simulator gives is none of what it
+                owes.
+            BridgeError: what it raises on purpose.
+        """
+        if not self.running:
+            raise SimulatorError('no episode is running')
+        outcome = self.simulator.advance(command, self.settings.action_repeat)
+        self._checks.outcome(outcome, self.settings.action_repeat)
+        self._decision += 1
+        self._frames += outcome.frames
+        self._unanswered += applied is None
+        self._return += outcome.reward
+        self.stamp += outcome.frames * self._frame_nanoseconds
+        step = self._step(outcome, command, applied)
+        self._last = step
+        if not step.ended:
+            return Frame(self.stamp, outcome.pixels, step, None)
+        self.running = False
+        return Frame(self.stamp, outcome.pixels, step, self._summary(step))
+
+    def abandon(self) -> dict[str, float] | None:
+        """End the running episode where it is; return what goes out as `episode`, if it ran."""
+        if not self.running:
+            return None
+        self.running = False
+        return {**self._summary(self._last), 'truncated': 1.0}
+
+    def close(self) -> None:
+        """Let go of the simulator."""
+        self.simulator.close()
+
+    def _step(self, outcome: Outcome, command: Command, applied: int | None) -> Step:
+        step = self._last = Step(
+            outcome.reward, bool(outcome.terminated), bool(outcome.truncated), self.episode,
+            self._decision, self._return, self.seed, applied,
+            {**outcome.info, 'step': self._frames, 'frames': outcome.frames,
+             'linear': command.linear, 'angular': command.angular})
+        return step
+
+    def _summary(self, step: Step) -> dict[str, float]:
+        """Return what `episode` says: the core, what the last step said, what is constant."""
+        values = {
+            'episode': self.episode, 'seed': self.seed, 'decisions': self._decision,
+            'episode_return': self._return, 'terminated': step.terminated,
+            'truncated': step.truncated, 'unanswered': self._unanswered, **step.info}
+        # those are of the last decision alone
+        for name in ('frames', 'linear', 'angular'):
+            del values[name]
+        return {**{name: float(value) for name, value in values.items()}, **self._constants}
+
+
+class _Checks:
+    """What a simulator gives, before it is believed; errors name the simulator."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name[:100]
+        self._shape: tuple[int, ...] | None = None
+        self._names: tuple[str, ...] | None = None
+
+    def _refuse(self, what: str) -> SimulatorError:
+        return SimulatorError(f'simulator {self._name!r} {what}')
+
+    def frame_nanoseconds(self, simulator: Simulator) -> int:
+        seconds = getattr(simulator, 'frame_seconds', None)
+        if not (isinstance(seconds, (int, float))
+                and SHORTEST_FRAME <= seconds <= LONGEST_FRAME):
+            raise self._refuse(f'has frame_seconds {seconds!r}; accepted: {SHORTEST_FRAME:g} to '
+                               f'{LONGEST_FRAME:g}')
+        return round(seconds * NANOSECONDS)
+
+    def constants(self, simulator: Simulator) -> dict[str, float]:
+        self._numbers('constant', simulator.constants, (*EPISODE_CORE, *STEP_INFO))
+        return {name: float(value) for name, value in simulator.constants.items()}
+
+    def outcome(self, outcome: Outcome, frames: int) -> None:
+        """Raise SimulatorError unless an outcome is what `Outcome` says."""
+        pixels = outcome.pixels
+        shape = getattr(pixels, 'shape', None)
+        if shape != self._shape or not isinstance(pixels, np.ndarray):
+            self._first_pixels(pixels)
+        if pixels.dtype != np.uint8:
+            raise self._refuse(f'gives pixels of {pixels.dtype}; expected uint8')
+        if not math.isfinite(outcome.reward):
+            raise self._refuse(f'gives the reward {outcome.reward}')
+        if not 0 <= outcome.frames <= frames or outcome.frames == 0 < frames:
+            raise self._refuse(f'says that {outcome.frames} frames passed; asked for {frames}')
+        info = outcome.info
+        for value in info.values():
+            if not math.isfinite(value):
+                break
+        else:
+            if self._names is not None and tuple(info) == self._names:
+                return
+        self._numbers('info', info, (*STEP_CORE, *STEP_INFO))
+        if self._names is not None and set(info) != set(self._names):
+            differing = sorted(set(info) ^ set(self._names))[0]
+            raise self._refuse(f'gives the info {differing!r} now and then; expected: always')
+        self._names = tuple(info)
+
+    def _first_pixels(self, pixels: Any) -> None:
+        if not (isinstance(pixels, np.ndarray) and pixels.ndim == 3 and pixels.shape[2] == 3
+                and min(pixels.shape) > 0 and max(pixels.shape) <= MAX_SIDE):
+            given = pixels.shape if isinstance(pixels, np.ndarray) else type(pixels).__name__
+            raise self._refuse(
+                f'gives pixels of {given}; expected an array (H, W, 3) of up to {MAX_SIDE} a side')
+        if self._shape is not None:
+            raise self._refuse(f'gives pixels of {pixels.shape}; expected {self._shape} as before')
+        self._shape = pixels.shape
+
+    def _numbers(self, what: str, values: Mapping[str, float], taken: tuple[str, ...]) -> None:
+        for name, value in values.items():
+            if name in taken:
+                raise self._refuse(f'has an {what} {name!r}, which means something else')
+            try:
+                finite = math.isfinite(value)
+            except TypeError:
+                finite = False
+            if not finite:
+                raise self._refuse(f'has {what} {str(name)[:100]!r} {value!r}; expected a number')
+
+
+def open_drive(values: Mapping[str, Any] | None = None) -> Drive:
+    """
+    Make a simulator and its drive from settings by name, as the node does from parameters.
+
+    Raises:
+        SimulatorError: no such simulator, or it cannot run here.
+        SettingsError: a setting that is unknown or not accepted.
+    """
+    values = dict(values or {})
+    name = values.get('simulator', DEFAULT)
+    settings = from_mapping(settings_for(name), values)
+    return Drive(find_simulator(name)(settings), settings)

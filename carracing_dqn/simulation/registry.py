@@ -1,0 +1,109 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Simulators by name.
+
+Those of this package are listed here. Other packages offer theirs in their metadata, as entry
+points `name = module:Class` of the group `carracing_dqn.simulators`; and without any of that a
+simulator is named `module:Class`.
+"""
+from __future__ import annotations
+
+from collections.abc import Mapping
+import functools
+import importlib
+from importlib.metadata import entry_points
+import os
+import sys
+from typing import Any
+
+from msgs_bridge.errors import SimulatorError
+from msgs_bridge.settings import from_mapping
+from msgs_bridge.simulator import Simulator
+
+SIMULATORS = {
+    'carracing': 'carracing_sim_node.simulator:CarRacing',
+    # its older name
+    'fast': 'carracing_sim_node.simulator:CarRacing',
+    'gymnasium': 'carracing_sim_node.stock:GymnasiumCarRacing',
+}
+GROUP = 'carracing_dqn.simulators'
+DEFAULT = 'carracing'
+# what a simulator must have beside what `Simulator` gives to those who inherit from it
+OWED = ('reset', 'advance', 'skip', 'close', 'Settings')
+
+
+@functools.cache
+def _registered() -> dict[str, str]:
+    """Return name -> `module:Class`; nobody else takes a name of ours."""
+    return {**{point.name: point.value for point in entry_points(group=GROUP)}, **SIMULATORS}
+
+
+def simulator_names() -> list[str]:
+    """Return the names of the simulators that are installed."""
+    return sorted(_registered())
+
+
+def find_simulator(name: str, *, registered_only: bool = False) -> type[Simulator]:
+    """
+    Return the simulator of a name.
+
+    Args:
+        name: of a simulator that is installed, or `module:Class`, which is imported.
+        registered_only: take installed ones alone, for names that come from a file.
+
+    Raises:
+        SimulatorError: there is none, or it lacks what a simulator owes.
+    """
+    # the metadata of all packages is only read for names that are not ours
+    place = SIMULATORS.get(name) or _registered().get(name)
+    if place is None:
+        if registered_only or ':' not in name:
+            raise SimulatorError(f'simulator is {_shown(name)}; accepted: '
+                                 f'{", ".join(simulator_names())}; or module:Class')
+        place = name
+        # console scripts, other than `python -m`, do not look into the folder they are called in
+        if os.getcwd() not in sys.path:
+            sys.path.append(os.getcwd())
+    found = _load(place, name)
+    missing = [what for what in OWED if not hasattr(found, what)]
+    if not isinstance(found, type) or missing:
+        raise SimulatorError(
+            f'simulator {_shown(name)} is none: {", ".join(missing) or "a class"} is missing; '
+            'inherit from msgs_bridge.simulator.Simulator')
+    return found
+
+
+def make_simulator(name: str, values: Mapping[str, Any] | None = None) -> Simulator:
+    """
+    Make the simulator of a name.
+
+    Args:
+        name: as `find_simulator` takes it.
+        values: settings by name; its defaults where they are silent.
+
+    Raises:
+        SimulatorError: there is none, or it cannot run here.
+        SettingsError: a setting that is unknown or not accepted.
+    """
+    kind = find_simulator(name)
+    return kind(from_mapping(kind.Settings, dict(values or {})))
+
+
+def _load(place: str, name: str) -> Any:
+    module_name, _, path = place.partition(':')
+    try:
+        found: Any = importlib.import_module(module_name)
+    except (ImportError, ValueError) as error:
+        raise SimulatorError(
+            f'simulator {_shown(name)}: cannot import {_shown(module_name)}: {error}') from None
+    for part in path.split('.'):
+        if not hasattr(found, part):
+            raise SimulatorError(
+                f'simulator {_shown(name)}: {_shown(module_name)} has no {_shown(path)}')
+        found = getattr(found, part)
+    return found
+
+
+def _shown(text: str) -> str:
+    return repr(text[:100])
