@@ -14,9 +14,12 @@ from bags.errors import BagError
 from bags.reader import BagReader
 from bags.settings import PlayerSettings, RecorderSettings
 from msgs_bridge.errors import BridgeError
+from msgs_bridge.plain_text import plain
 from msgs_bridge.settings import describe, parse_text
 
 FILE_WIDTH = 140
+# characters of a line about a bag
+LINE = 300
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -64,7 +67,7 @@ def main(arguments: argparse.Namespace) -> int:
         return COMMANDS[arguments.bag_command](arguments)
     except (BridgeError, OSError) as error:
         reason = f'{error.filename}: {error.strerror}' if isinstance(error, OSError) else error
-        sys.stderr.write(f'error: {reason}\n')
+        sys.stderr.write(f'error: {plain(reason, LINE)}\n')
         return 2
     except KeyboardInterrupt:
         return 130
@@ -107,9 +110,9 @@ def _verify(arguments: argparse.Namespace) -> int:
 def _show_verification(found: Any) -> None:
     write = sys.stdout.write
     for problem in found.problems:
-        write(f'wrong: {problem}\n')
+        write(f'wrong: {plain(problem, LINE)}\n')
     for note in found.notes:
-        write(f'note: {note}\n')
+        write(f'note: {plain(note, LINE)}\n')
     if found.transitions:
         counts = ', '.join(f'{count} {name}' for name, count in found.transitions.items())
         write(f'transitions: {counts}\n')
@@ -124,7 +127,7 @@ def _recover(arguments: argparse.Namespace) -> int:
     from bags.recover import recover_bag
     recovery = recover_bag(arguments.bag, arguments.output)
     for remark in recovery.remarks:
-        sys.stdout.write(f'{remark}\n')
+        sys.stdout.write(f'{plain(remark, LINE)}\n')
     sys.stdout.write(
         f'{recovery.messages} messages in {recovery.chunks} chunks saved to {arguments.output}; '
         f'{recovery.bad_chunks} chunks and {recovery.lost_bytes} bytes lost\n')

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 
-from bags.contract import find_topic
+from bags.topic_lookup import find_topic
 from bags.reader import BagReader
 from bags.steps import StepDecoder
 from msgs_bridge.topics import STEP

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from bags.contract import find_topic, need_topic
+from bags.topic_lookup import find_topic, need_topic
 from bags.decode import Bundle, BundleDecoder, ImageDecoder
 from bags.reader import BagReader
 from bags.steps import StepDecoder

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from bags.contract import need_topic
+from bags.topic_lookup import need_topic
 from bags.decode import ImageDecoder
 from bags.errors import BagError
 from bags.reader import BagReader

@@ -14,6 +14,10 @@ from rich.text import Text
 from bags.episodes import Episode, find_episodes
 from bags.reader import BagReader
 from msgs_bridge.errors import MessageError
+from msgs_bridge.plain_text import plain
+
+# characters of a value of the bag that are shown; --json has all
+SHOWN = 200
 
 MANY_EPISODES = 20
 
@@ -71,7 +75,6 @@ def show_info(info: dict[str, Any], console: Console) -> None:
 
 def _head(info: dict[str, Any]) -> Table:
     table = Table.grid(padding=(0, 2))
-    start = datetime.datetime.fromtimestamp(info['start_time'] / 1e9)
     names = ', '.join(file['name'] for file in info['files'])
     rows = {
         'bag': info['path'],
@@ -79,7 +82,7 @@ def _head(info: dict[str, Any]) -> Table:
         'size': _size(info['bytes']),
         'storage': ', '.join(filter(None, (
             info['storage'], info['compression'], info['ros_distro']))),
-        'start': start.strftime('%Y-%m-%d %H:%M:%S.%f')[:-3],
+        'start': _time_of_day(info['start_time']),
         'duration': f'{info["seconds"]:.3f} s',
         'messages': f'{info["messages"]:,}',
     }
@@ -87,8 +90,17 @@ def _head(info: dict[str, Any]) -> Table:
     rows.update({f'problem {number}': problem
                  for number, problem in enumerate(info['problems'], 1)})
     for name, value in rows.items():
-        table.add_row(Text(name, style='bold'), Text(value))
+        table.add_row(Text(plain(name), style='bold'), Text(plain(value, SHOWN)))
     return table
+
+
+def _time_of_day(nanoseconds: int) -> str:
+    try:
+        moment = datetime.datetime.fromtimestamp(nanoseconds / 1e9)
+    except (OverflowError, ValueError, OSError):
+        # beyond what a calendar has: somebody's clock was no clock
+        return f'{nanoseconds} ns'
+    return moment.strftime('%Y-%m-%d %H:%M:%S.%f')[:-3]
 
 
 def _topics(info: dict[str, Any]) -> Table:
@@ -100,8 +112,10 @@ def _topics(info: dict[str, Any]) -> Table:
     table.add_column('publishers', overflow='fold')
     for topic in info['topics']:
         table.add_row(
-            topic['name'], topic['type'], f'{topic["messages"]:,}', f'{topic["rate"]:.1f}',
-            f'{topic["publishers"]} {topic["reliability"]} {topic["durability"]}')
+            Text(plain(topic['name'], SHOWN)), Text(plain(topic['type'], SHOWN)),
+            f'{topic["messages"]:,}', f'{topic["rate"]:.1f}',
+            Text(plain(f'{topic["publishers"]} {topic["reliability"]} '
+                       f'{topic["durability"]}')))
     return table
 
 

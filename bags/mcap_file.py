@@ -14,6 +14,8 @@ import heapq
 from itertools import zip_longest
 import mmap
 from pathlib import Path
+import re
+import stat
 from typing import NamedTuple
 import zlib
 
@@ -23,7 +25,7 @@ from mcap.records import Channel, Schema
 from bags.compression import unpack
 from bags.errors import BagError
 from bags.mcap_records import (
-    CHUNK, HEAD, MAGIC, MAX_CHUNK, MESSAGE, parse_record, PROFILE,
+    CHUNK, HEAD, MAGIC, MAX_CHUNK, MESSAGE, parse_record, PROFILE, record_bytes,
 )
 
 # Chunks that overlap in time are merged; more than this unpacked at once is refused.
@@ -31,6 +33,14 @@ MAX_UNPACKED = 1 << 30
 # Messages outside chunks (rosbag2's preset `fastwrite`) are read in stretches of this many bytes.
 STRETCH_BYTES = 4 << 20
 ENCODING = 'cdr'
+
+# op codes of the specification; in a damaged file any other one means that the place is wrong
+KNOWN_OPCODES = range(0x01, 0x10)
+# how a chunk of less than 4 GiB begins, up to the name of its compression
+CHUNK_BEGINS = re.compile(
+    rb'\x06.{4}\x00{4}.{28}(?:\x00{4}|\x03\x00{3}lz4|\x04\x00{3}zstd)', re.DOTALL)
+# how a short schema, channel or metadata record begins
+NAMES_BEGIN = re.compile(rb'[\x03\x04\x0c].{3}\x00{5}', re.DOTALL)
 
 
 class RawMessage(NamedTuple):
@@ -78,7 +88,7 @@ class McapFile:
         summary: where the summary begins and the footer ends, as the file is laid out.
         complete: whether the file ends as it should.
         problem: why it is not complete, in words.
-        whole_until: where the last whole record ends.
+        lost_bytes: bytes that belong to nothing that is whole (if not strict).
         damage: what was passed over because it is damaged, each a sentence (if not strict).
     """
 
@@ -104,11 +114,14 @@ class McapFile:
         self.summary = (0, 0)
         self.complete = False
         self.problem = ''
-        self.whole_until = 0
+        self.lost_bytes = 0
         self.damage: list[str] = []
         self._plain: list[int] = []
         self._map: mmap.mmap | None = None
         try:
+            # opening a FIFO would wait for somebody to write into it
+            if not stat.S_ISREG(self.path.stat().st_mode):
+                raise BagError(f'{path} is not a regular file')
             with self.path.open('rb') as file:
                 self.size = file.seek(0, 2)
                 if self.size:
@@ -268,11 +281,31 @@ class McapFile:
 
     def _scan(self, strict: bool) -> None:
         """Go through the records of the file and note where messages lie."""
-        view = self._view
-        if self.size < len(MAGIC) or view[:len(MAGIC)] != MAGIC:
-            raise BagError(f'{self.path} is not an MCAP file')
-        position = len(MAGIC)
-        first = True
+        if strict:
+            if self.size < len(MAGIC) or self._view[:len(MAGIC)] != MAGIC:
+                raise BagError(f'{self.path} is not an MCAP file')
+            self._walk(len(MAGIC), strict=True)
+            return
+        covered = [(0, self._walk(len(MAGIC), strict=False))]
+        if not self.complete or self.damage or not all(map(self._fits, self.spans)):
+            covered += self._salvage()
+        if not (self.library or self.spans or self.channels):
+            raise BagError(f'{self.path} is not an MCAP file, or nothing of it is whole')
+        end = 0
+        for start, stop in sorted([*covered, (self.size, self.size)]):
+            self.lost_bytes += max(start - end, 0)
+            end = max(end, stop)
+        if self.complete:
+            self.lost_bytes = 0
+
+    def _walk(self, position: int, *, strict: bool) -> int:
+        """
+        Take record after record; return where it cannot go on.
+
+        Raises:
+            BagError: a damaged record (if strict), or a file of another kind.
+        """
+        view, begin = self._view, position
         while True:
             if position + HEAD.size > self.size:
                 self.problem = f'it ends at byte {self.size} within a record'
@@ -283,24 +316,92 @@ class McapFile:
                 self.problem = (f'the record at byte {position} needs {length} bytes, '
                                 f'{self.size - start} are there')
                 break
-            if first:
-                self._check_header(opcode, view[start:start + length])
-                first = False
+            if not strict and opcode not in KNOWN_OPCODES:
+                self.problem = f'there is no record at byte {position}'
+                break
             try:
+                if position == len(MAGIC):
+                    self._check_header(opcode, view[start:start + length])
                 self._take(opcode, position, start, length)
             except BagError as error:
                 if strict:
                     raise
                 self.damage.append(str(error))
-            self.whole_until = position = start + length
+            position = start + length
             if opcode == Opcode.FOOTER:
                 self.complete = view[position:position + len(MAGIC)] == MAGIC
-                if not self.complete:
-                    self.problem = 'it has no end mark'
+                self.problem = '' if self.complete else 'it has no end mark'
+                position += len(MAGIC)
                 break
         self._add_plain()
-        if first:
+        if begin == position == len(MAGIC) and strict:
             raise BagError(f'{self.path} is cut off: it has no header')
+        return position
+
+    def _salvage(self) -> list[tuple[int, int]]:
+        """
+        Find what is whole behind damage: chunks whose CRC is right, and the names of topics.
+
+        Returns:
+            Where it lies, as (start, end).
+        """
+        chunks = {span.record: span for span in self.spans if span.crc and self._fits(span)}
+        same = {(span.start_time, span.end_time, span.crc, span.unpacked_size)
+                for span in chunks.values()}
+        found, position = [], 0
+        while match := CHUNK_BEGINS.search(self._view, position):
+            start = match.start()
+            span = chunks.get(start) or self._whole_chunk(start)
+            position = span.offset + span.length if span else start + 1
+            if span is None or start in chunks:
+                continue
+            found.append((start, position))
+            key = (span.start_time, span.end_time, span.crc, span.unpacked_size)
+            if key not in same:
+                same.add(key)
+                self.spans.append(span)
+        inside = sorted([*((span.record, span.offset + span.length) for span in chunks.values()),
+                         *found])
+        return found + self._salvage_names(inside)
+
+    def _salvage_names(self, chunks: list[tuple[int, int]]) -> list[tuple[int, int]]:
+        """Take schemas, channels and metadata that lie between chunks; return where they lie."""
+        found = []
+        bounds = [0, *(place for chunk in chunks for place in chunk), self.size]
+        for low, high in zip(bounds[::2], bounds[1::2]):
+            for match in NAMES_BEGIN.finditer(self._view, low, high):
+                opcode, length = HEAD.unpack_from(self._view, match.start())
+                start = match.start() + HEAD.size
+                content = self._view[start:start + length]
+                try:
+                    record = self._parse(opcode, content)
+                    if bytes(record_bytes(record))[HEAD.size:] != content:
+                        continue
+                except (BagError, UnicodeError):
+                    continue
+                if opcode == Opcode.METADATA:
+                    self.metadata.setdefault(record.name, record.metadata)
+                else:
+                    known = self.schemas if opcode == Opcode.SCHEMA else self.channels
+                    known.setdefault(record.id, record)
+                found.append((match.start(), start + length))
+        return found
+
+    def _whole_chunk(self, position: int) -> Span | None:
+        """Return the chunk that begins at a byte, if its CRC says that one does."""
+        try:
+            span = self._read_chunk(position + HEAD.size, self.size)
+        except BagError:
+            return None
+        return span if span.crc and self._fits(span) else None
+
+    def _fits(self, span: Span) -> bool:
+        """Return whether a span unpacks to what its CRC says."""
+        try:
+            self.span_bytes(span)
+        except BagError:
+            return False
+        return True
 
     def _take(self, opcode: int, position: int, start: int, length: int) -> None:
         """Take what is worth knowing of one record."""
@@ -310,7 +411,7 @@ class McapFile:
             return
         self._add_plain()
         if opcode == Opcode.CHUNK:
-            self._add_chunk(start, length)
+            self.spans.append(self._read_chunk(start, start + length))
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             self._learn(opcode, content)
         elif opcode == Opcode.METADATA:
@@ -332,26 +433,26 @@ class McapFile:
         if profile != PROFILE:
             raise BagError(f'{self.path} has profile {profile!r}; accepted: {PROFILE!r}')
 
-    def _add_chunk(self, start: int, length: int) -> None:
+    def _read_chunk(self, start: int, end: int) -> Span:
+        """Return the chunk whose content begins at a byte and ends before `end`."""
         view = self._view
-        if length < CHUNK.size + 12:
-            raise BagError(f'{self.path} at byte {start}: a chunk of {length} bytes')
+        if end - start < CHUNK.size + 12:
+            raise BagError(f'{self.path} at byte {start}: a chunk of {end - start} bytes')
         first, last, size, crc = CHUNK.unpack_from(view, start)
         position = start + CHUNK.size
         name_size = int.from_bytes(view[position:position + 4], 'little')
         position += 4
         data = position + name_size + 8
-        if name_size > 16 or data > start + length:
+        if name_size > 16 or data > end:
             raise BagError(f'{self.path} at byte {start}: the chunk is damaged')
         packed = int.from_bytes(view[data - 8:data], 'little')
-        if data + packed > start + length:
+        if data + packed > end:
             raise BagError(f'{self.path} at byte {start}: the chunk is damaged')
         if size > MAX_CHUNK:
             raise BagError(f'{self.path} at byte {start}: chunk says it unpacks to {size} bytes; '
                            f'accepted: {MAX_CHUNK}')
         compression = bytes(view[position:position + name_size]).decode('ascii', 'replace')
-        self.spans.append(Span(
-            data, packed, first, last, compression, size, crc, start - HEAD.size))
+        return Span(data, packed, first, last, compression, size, crc, start - HEAD.size)
 
     def _extend_plain(self, position: int, start: int, length: int) -> None:
         """Add a message outside chunks to the present stretch: [start, end, first, last]."""

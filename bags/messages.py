@@ -3,11 +3,11 @@
 """Messages and topics as every storage of a bag hands them out."""
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 import dataclasses
 from typing import Any, NamedTuple, Protocol
 
-from bags.mcap_file import ENCODING
+from bags.mcap_file import ENCODING, McapFile
 from bags.schemas import Schema
 
 
@@ -33,12 +33,18 @@ class BagTopic:
 
 
 class Storage(Protocol):
-    """What a storage of a bag offers; see `BagReader` for the meaning."""
+    """
+    What a storage of a bag offers; see `BagReader` for the meaning.
+
+    `provenance` is what the files themselves say of the origin, `files` are the MCAP files.
+    """
 
     topics: dict[str, BagTopic]
     start_time: int
     end_time: int
     message_count: int
+    provenance: dict[str, str]
+    files: Sequence[McapFile]
 
     def messages(
         self, names: Collection[str], start: int, stop: int) -> Iterator[BagMessage]:

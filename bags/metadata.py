@@ -16,6 +16,7 @@ from bags.qos_text import normalize_qos, qos_from_text
 from bags.yaml_text import dump_yaml, load_yaml, MAX_TEXT
 
 from msgs_bridge.atomic_write import write_text
+from msgs_bridge.regular_file import read_regular
 
 FILE_NAME = 'metadata.yaml'
 VERSION = 9
@@ -118,14 +119,10 @@ def read_metadata(folder: Path) -> BagMetadata:
         BagError: missing, too large, not YAML, or not what rosbag2 writes.
     """
     path = folder / FILE_NAME
-    try:
-        with path.open('rb') as file:
-            data = file.read(MAX_TEXT + 1)
-    except FileNotFoundError:
+    if not path.exists():
         raise BagError(f'{folder} has no {FILE_NAME}: not a bag, or one that was cut off '
-                       '(`carracing bag recover` makes it whole)') from None
-    except OSError as error:
-        raise BagError(f'{path}: {error.strerror}') from None
+                       '(`carracing bag recover` makes it whole)')
+    data = read_regular(path, MAX_TEXT, BagError)
     try:
         text = data.decode()
     except UnicodeDecodeError:

@@ -67,12 +67,12 @@ class BagReader:
         """Return the origin of the run, from `metadata.yaml` or else from the file itself."""
         if self.metadata is not None and self.metadata.custom_data:
             return self.metadata.custom_data
-        return dict(getattr(self._storage, 'provenance', {}))
+        return dict(self._storage.provenance)
 
     @property
     def mcap_files(self) -> list[McapFile]:
         """Return the open MCAP files, none for sqlite3."""
-        return list(getattr(self._storage, 'files', ()))
+        return list(self._storage.files)
 
     def messages(
         self,
@@ -124,10 +124,11 @@ class BagReader:
         if self.metadata.storage_identifier not in ('mcap', 'sqlite3'):
             raise BagError(f'{self.path} has storage {self.metadata.storage_identifier!r}; '
                            'accepted: mcap, sqlite3')
-        if self.metadata.compression_mode and self.metadata.storage_identifier == 'mcap':
+        mode = self.metadata.compression_mode
+        if mode == 'file' or (mode and self.metadata.storage_identifier == 'mcap'):
             raise BagError(
-                f'{self.path} is compressed as a whole ({self.metadata.compression_mode} mode); '
-                'unpack it with `ros2 bag convert`, or record with chunk compression')
+                f'{self.path} is compressed {mode} by {mode}; unpack it with `ros2 bag convert`, '
+                'or record with chunk compression')
         if not self.metadata.files:
             raise BagError(f'{self.path}/{FILE_NAME} names no files')
         files = [self.path / file.path for file in self.metadata.files]
@@ -182,8 +183,9 @@ class McapStorage:
             self.close()
             raise
         self.files.sort(key=lambda file: min(
-            (span.start_time for span in file.spans), default=2 ** 64))
-        spans = [span for file in self.files for span in file.spans]
+            (span.start_time for span in file.spans if span.end_time), default=2 ** 64))
+        # a chunk without messages says 0 for both
+        spans = [span for file in self.files for span in file.spans if span.end_time]
         self.start_time = min((span.start_time for span in spans), default=0)
         self.end_time = max((span.end_time for span in spans), default=0)
         self.message_count = sum(topic.message_count for topic in self.topics.values())

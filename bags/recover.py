@@ -92,9 +92,9 @@ def _copy_file(
     file: McapFile, writer: BagWriter, topics: dict[tuple[str, str], int], recovery: Recovery,
 ) -> None:
     if not file.complete:
-        rest = file.size - file.whole_until
-        recovery.lost_bytes += rest
-        recovery.remarks.append(f'{file.path.name}: {file.problem}; {rest} bytes were lost')
+        recovery.lost_bytes += file.lost_bytes
+        recovery.remarks.append(
+            f'{file.path.name}: {file.problem}; {file.lost_bytes} bytes were lost')
     recovery.remarks += [f'{damage}; it was left out' for damage in file.damage]
     unnamed = 0
     for span in file.spans:

@@ -16,7 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from bags.contract import find_topic
+from bags.errors import BagError
+from bags.topic_lookup import find_topic
 from bags.decode import BundleDecoder
 from bags.frames import recorded_frames, RecordedFrame
 from bags.reader import BagReader
@@ -31,6 +32,8 @@ from msgs_bridge.twists import Command
 DEFAULT_SEED = 42
 DEFAULT_MAX_FRAMES = 1000
 MAX_NAMED = 10
+# tracks of a stream that are laid one after the other to get to one, a millisecond each
+MAX_STREAM = 100_000
 
 
 @dataclasses.dataclass
@@ -139,6 +142,9 @@ class Resimulator:
 
     def _reset_in_stream(self, number: int) -> np.ndarray:
         """Reset to track `number` of the stream of tracks that the first seed began."""
+        if number > MAX_STREAM:
+            raise BagError(f'episode {number} of a stream of tracks; accepted: up to '
+                           f'{MAX_STREAM}')
         if self._stream_at is not None and self._stream_at < number:
             self._env.skip_episodes(number - self._stream_at - 1)
         elif number:
@@ -151,10 +157,13 @@ class Resimulator:
     def _advance(self, frame: RecordedFrame) -> None:
         try:
             info = frame.step.info
-            action = controls(Command(*(info[name] for name in Command._fields)))
+            command = Command(*(info[name] for name in Command._fields))
             frames = int(info['frames'])
         except KeyError as error:
             raise MessageError(f'step lacks {error.args[0]!r}') from None
+        if command != command.clamped():
+            raise MessageError(f'{command} is beyond -1 to 1')
+        action = controls(command)
         reward, terminated, truncated, outcome = 0.0, False, False, {}
         pixels = None
         for count in range(frames):

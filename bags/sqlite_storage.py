@@ -27,6 +27,8 @@ class SqliteStorage:
             BagError: the library cannot read it.
         """
         self._reader = _guard(path, lambda: _opened(path))
+        self.provenance: dict[str, str] = {}
+        self.files: tuple[()] = ()
         self.path = path
         reader = self._reader
         self.topics: dict[str, BagTopic] = {}

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from bags.contract import find_topic, need_topic, TWIST
+from bags.topic_lookup import find_topic, need_topic, TWIST
 from bags.decode import decode, ImageDecoder
 from bags.reader import BagReader
 from bags.steps import StepDecoder
@@ -34,7 +34,7 @@ def bag_transitions(
     Args:
         paths: bag folders or files.
         namespace: where the topics of the car are; needed if there are several.
-        counts: is filled with the joiner's counts, and `rejected` for unusable messages.
+        counts: follows the joiner's counts, and `rejected` for unusable messages.
 
     Raises:
         BagError: a bag that cannot be read, or lacks images or steps.
@@ -56,29 +56,27 @@ def _transitions(
         # without stamps nothing says which frame a twist answered
         twists = None
     joiner = TransitionJoiner()
+    joiner.counts = counts
     step_decoder = StepDecoder()
     image_decoder = ImageDecoder()
     wanted = [images, steps] if twists is None else [images, steps, twists]
-    try:
-        for message in reader.messages(wanted):
-            try:
-                if message.topic == images:
-                    joined = joiner.add_image(*image_decoder.decode(message.data, images))
-                elif message.topic == steps:
-                    stamp, step = step_decoder.decode(message.data, steps)
-                    joined = [] if twists is not None else _applied(joiner, step)
-                    joined += joiner.add_step(stamp, step)
-                else:
-                    twist = decode(message.data, CMD_VEL.type_name, CMD_VEL.name)
-                    joined = joiner.add_twist(
-                        to_nanoseconds(twist.header.stamp), read_command(twist.twist))
-            except MessageError:
-                # live nodes pass over such a message too
-                counts['rejected'] += 1
-                continue
-            yield from joined
-    finally:
-        counts.update(joiner.counts)
+    for message in reader.messages(wanted):
+        try:
+            if message.topic == images:
+                joined = joiner.add_image(*image_decoder.decode(message.data, images))
+            elif message.topic == steps:
+                stamp, step = step_decoder.decode(message.data, steps)
+                joined = [] if twists is not None else _applied(joiner, step)
+                joined += joiner.add_step(stamp, step)
+            else:
+                twist = decode(message.data, CMD_VEL.type_name, CMD_VEL.name)
+                joined = joiner.add_twist(
+                    to_nanoseconds(twist.header.stamp), read_command(twist.twist))
+        except MessageError:
+            # live nodes pass over such a message too
+            counts['rejected'] += 1
+            continue
+        yield from joined
 
 
 def _applied(joiner: TransitionJoiner, step: Step) -> list[Transition]:

@@ -7,15 +7,17 @@ from collections import Counter
 import dataclasses
 from typing import Any
 
-from bags.contract import find_topic
+from bags.topic_lookup import find_topic
 from bags.reader import BagReader
 from bags.resimulate import Resimulation, Resimulator
-from bags.structure import order_notes, structure_problems
+from bags.integrity import order_notes, structure_problems
 from bags.transitions import bag_transitions
 from msgs_bridge.topics import IMAGE, STEP
 
-# what the joiner counts that means something is missing
-LOSSES = ('duplicate', 'lost_image', 'lost_twist', 'lost_step', 'rewound', 'rejected')
+# what the joiner counts: what is missing is wrong, the rest unusual
+MISSING = {'lost_image': 'an image', 'lost_twist': 'the twist that was applied',
+           'lost_step': 'a step', 'rejected': 'a message that can be used'}
+UNUSUAL = ('duplicate', 'rewound')
 
 
 @dataclasses.dataclass
@@ -64,20 +66,32 @@ def verify_bag(
     if not problems:
         if (find_topic(reader, IMAGE, namespace=namespace)
                 and find_topic(reader, STEP, namespace=namespace)):
+            begun_late = None
             for _ in bag_transitions([reader.path], namespace=namespace, counts=counts):
-                pass
-            notes += [f'{counts[name]} x {name.replace("_", " ")} when joining transitions'
-                      for name in LOSSES if counts[name]]
+                if begun_late is None:
+                    # a recorder hears of the topics one after another
+                    begun_late = counts['lost_twist'] + counts['lost_image']
+                    counts['lost_twist'] = counts['lost_image'] = 0
+            if begun_late:
+                notes.append(f'{begun_late} transitions at the start lack an image or a twist: '
+                             'their topics were recorded later')
+            problems += [f'{counts[name]} transitions lack {what}'
+                         for name, what in MISSING.items() if counts[name]]
+            notes += [f'{counts[name]} x {name} when joining transitions'
+                      for name in UNUSUAL if counts[name]]
             if resimulate:
                 driven = Resimulator(reader, namespace=namespace).run()
                 problems += driven.partings
+                if driven.missing_images:
+                    problems.append(f'{driven.missing_images} of {driven.frames} frames that '
+                                    'were driven again have no image to compare')
                 hidden = driven.differing_frames - len(driven.partings)
                 if hidden > 0:
                     problems.append(f'{hidden} more frames differ')
                 notes += [f'{count} episodes not driven again: {reason}'
                           for reason, count in driven.skipped.items()]
         else:
-            notes.append('no images and steps of the car: nothing to drive again')
+            notes.append('no images and steps of a simulator: nothing was compared with a drive')
     return Verification(
         reader.message_count, problems, notes, {key: count for key, count in counts.items()
                                                 if count}, driven)

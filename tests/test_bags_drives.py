@@ -17,6 +17,7 @@ from bags.errors import BagError
 from bags.export import export_csv, export_video
 from bags.info import bag_info
 from bags.reader import BagReader
+from bags.schemas import Schema
 from bags.transitions import bag_transitions
 from bags.verify import verify_bag
 from bags.writer import BagWriter
@@ -315,3 +316,35 @@ def test_a_bag_of_version_0_1_is_verified_driven_again_and_learned_from():
     assert all(one.step.info['linear'] == one.command.linear for one in transitions)
     with BagReader(bag) as reader:
         assert [episode.seed for episode in find_episodes(reader)] == [5, 6]
+
+
+@pytest.mark.parametrize(('name', 'value'), [
+    ('seed', float('nan')), ('seed', 1e30), ('episode', 1e12), ('episode', 0.5),
+    ('decision', -1.0), ('applied_sec', 1e12), ('reward', float('inf')), ('linear', 1e30),
+    ('angular', -2.0), ('frames', 1e12), ('speed', float('nan')),
+])
+def test_no_odd_value_ends_a_command_with_more_than_a_line(tmp_path, capsys, name, value):
+    def change(frame):
+        return dataclasses.replace(frame, facts={
+            **frame.facts, name: value, **({'seed': -1.0} if name == 'episode' else {})})
+
+    bag = record_drive(tmp_path / 'bag', episodes=1, decisions=4, change=lambda frame: (
+        change(frame) if frame.facts['decision'] in (0, 3) else frame))
+    for words in (('info', bag), ('info', bag, '--json'), ('verify', bag)):
+        assert command(*words) in (0, 1, 2)
+    assert command('verify', bag) != 0
+    assert 'Traceback' not in capsys.readouterr().err
+
+
+@pytest.mark.parametrize('text', [
+    '/[/x]', '/\x1b[31mred', '/' + 'x' * 100_000, '/\x1b]52;c;aGk=\a'])
+@pytest.mark.parametrize('kind', ['std_msgs/msg/Bool', 'os/path/join', '\x1b[31m/msg/X', ''])
+def test_no_text_of_a_bag_reaches_the_terminal_as_more_than_text(tmp_path, capsys, text, kind):
+    with BagWriter(tmp_path / 'bag', custom_data={text: kind, 'simulator': '[' * 3000}) as writer:
+        topic = writer.add_topic(text, kind, [], schema=Schema(kind, 'ros2msg', '', ''))
+        writer.write(topic, 5, 5, b'\x00\x01\x00\x00\x01')
+    for words in (('info',), ('verify',), ('export', '--csv', tmp_path / 'x.csv')):
+        assert command(words[0], tmp_path / 'bag', *words[1:]) in (0, 1, 2)
+    shown = capsys.readouterr()
+    assert '\x1b' not in shown.out + shown.err and '\a' not in shown.out + shown.err
+    assert max(map(len, (shown.out + shown.err).splitlines())) < 1000
