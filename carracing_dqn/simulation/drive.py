@@ -3,7 +3,7 @@
 """Episodes of any simulator one after the other on one clock: what its node says, without ROS."""
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 import dataclasses
 import math
 import time
@@ -244,12 +244,8 @@ class _Checks:
         if not 0 <= outcome.frames <= frames or outcome.frames == 0 < frames:
             raise self._refuse(f'says that {outcome.frames} frames passed; asked for {frames}')
         info = outcome.info
-        for value in info.values():
-            if not math.isfinite(value):
-                break
-        else:
-            if self._names is not None and tuple(info) == self._names:
-                return
+        if tuple(info) == self._names and _finite(info.values()):
+            return
         self._numbers('info', info, (*STEP_CORE, *STEP_INFO))
         if self._names is not None and set(info) != set(self._names):
             differing = sorted(set(info) ^ set(self._names))[0]
@@ -270,12 +266,15 @@ class _Checks:
         for name, value in values.items():
             if name in taken:
                 raise self._refuse(f'has an {what} {name!r}, which means something else')
-            try:
-                finite = math.isfinite(value)
-            except TypeError:
-                finite = False
-            if not finite:
+            if not _finite([value]):
                 raise self._refuse(f'has {what} {str(name)[:100]!r} {value!r}; expected a number')
+
+
+def _finite(values: Iterable[Any]) -> bool:
+    try:
+        return all(map(math.isfinite, values))
+    except TypeError:
+        return False
 
 
 def open_drive(values: Mapping[str, Any] | None = None) -> Drive:

@@ -24,6 +24,8 @@ from msgs_bridge.twists import Command, STOP
 # times as long as the driver has taken, of which no more than these seconds count.
 STRAGGLING = 2.0
 LONGEST_STRAGGLING = 5.0
+# and how long, at least, nothing may come before it is believed that no more is on its way
+QUIET_SECONDS = 0.05
 NOT_STARTED = 'not started: nobody drives yet'
 OVER = 'all episodes are driven'
 
@@ -64,14 +66,17 @@ class Stepping(ABC):
         decisions, simulated: published and simulated frames since the start.
     """
 
-    def __init__(self, drive: Drive, outlet: Outlet) -> None:
-        """Stand still until `start`."""
+    def __init__(
+        self, drive: Drive, outlet: Outlet, now: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """Stand still until `start`; `now` is the wall clock in seconds."""
         self.drive = drive
         self.frame: Frame | None = None
         self.held_back = False
         self.paused = outlet.settings.start_paused
         self.decisions = self.simulated = 0
         self._outlet = outlet
+        self._now = now
         self._over = False
         self._steps_allowed = 0
 
@@ -183,9 +188,11 @@ class Stepping(ABC):
 class RealTime(Stepping):
     """Goes on by the wall clock, by the last twist as long as it is not stale."""
 
-    def __init__(self, drive: Drive, outlet: Outlet) -> None:
+    def __init__(
+        self, drive: Drive, outlet: Outlet, now: Callable[[], float] = time.monotonic,
+    ) -> None:
         """Hold no twist."""
-        super().__init__(drive, outlet)
+        super().__init__(drive, outlet, now)
         self._held: tuple[Command, int] | None = None
         self._held_since = 0.0
 
@@ -193,7 +200,7 @@ class RealTime(Stepping):
         """Hold a twist; a plain one counts as an answer to the newest frame."""
         if self.frame is not None:
             self._held = command, self.frame.stamp if stamp is None else stamp
-            self._held_since = time.monotonic()
+            self._held_since = self._now()
 
     def beat(self) -> None:
         """Drive one decision."""
@@ -203,7 +210,7 @@ class RealTime(Stepping):
             self._advance(STOP, None)
             return
         stale_after = self._outlet.settings.stale_after
-        if time.monotonic() - self._held_since > stale_after:
+        if self._now() - self._held_since > stale_after:
             self._held = None
             self._outlet.counts['stale_twists'] += 1
             self._outlet.warn(f'no twist for {stale_after:g} s: coasting')
@@ -227,12 +234,15 @@ class Lockstep(Stepping):
     Waits for the twist that answers the newest frame.
 
     A stamped twist says which frame it answers. A plain one does not: it answers what was sent
-    first of what is not answered yet, and nothing new is sent while answers are on their way.
+    first of what is not answered yet. So after a frame that was sent again, and after the last
+    one of an episode, nothing new is sent while answers may be on their way.
     """
 
-    def __init__(self, drive: Drive, outlet: Outlet) -> None:
+    def __init__(
+        self, drive: Drive, outlet: Outlet, now: Callable[[], float] = time.monotonic,
+    ) -> None:
         """Wait for nothing yet."""
-        super().__init__(drive, outlet)
+        super().__init__(drive, outlet, now)
         self._answer: tuple[Command, int] | None = None
         self._held: tuple[Command, int] | None = None
         self._final_stamp = -1
@@ -253,7 +263,7 @@ class Lockstep(Stepping):
     def late(self) -> bool:
         """Return whether an answer is overdue."""
         return (self.frame is not None and self._answer is None and not self._over
-                and time.monotonic() - self._asked_at > self._outlet.settings.answer_timeout)
+                and self._now() - self._asked_at > self._outlet.settings.answer_timeout)
 
     def take(self, command: Command, stamp: int | None) -> None:
         """Go on by a twist that answers the newest frame; the first answer counts."""
@@ -277,9 +287,7 @@ class Lockstep(Stepping):
     def beat(self) -> None:
         """Do as `on_timeout` says when nobody has answered in time."""
         if self._put_off:
-            if time.monotonic() > self._patient_until:
-                # what has not come by now was never to come
-                self._unanswered = 0
+            if self._now() > self._patient_until:
                 self._send_put_off()
             return
         if self.paused or self.held_back or not self.late:
@@ -290,7 +298,7 @@ class Lockstep(Stepping):
             f'no twist on cmd_vel has answered the frame of {self.frame.stamp / NANOSECONDS:.2f} '
             f's for {settings.answer_timeout:g} s; on_timeout: {settings.on_timeout}')
         if settings.on_timeout == 'resend':
-            self._asked_at = time.monotonic()
+            self._asked_at = self._now()
             self._unanswered += 1
             self._outlet.send_again(self.frame)
         elif settings.on_timeout == 'hold' and self._held is not None:
@@ -301,13 +309,13 @@ class Lockstep(Stepping):
     def pause(self, paused: bool) -> str:
         """Stand, or go on; standing does not count as time without an answer."""
         if not paused:
-            self._asked_at = time.monotonic()
+            self._asked_at = self._now()
         return super().pause(paused)
 
     def hold(self, held_back: bool) -> None:
         """Be held back, or let go; that does not count as time without an answer."""
         if not held_back:
-            self._asked_at = time.monotonic()
+            self._asked_at = self._now()
         super().hold(held_back)
 
     def reset(self) -> tuple[bool, str]:
@@ -339,7 +347,7 @@ class Lockstep(Stepping):
             super()._send_end(values, stamp)
 
     def _ask(self, frame: Frame) -> None:
-        self._asked_at = self._first_asked_at = time.monotonic()
+        self._asked_at = self._first_asked_at = self._now()
         self._unanswered = 1
         super()._send(frame)
 
@@ -351,16 +359,24 @@ class Lockstep(Stepping):
         if not self._put_off:
             return not surplus
         self._be_patient()
-        self._send_put_off()
         return False
 
     def _be_patient(self) -> None:
         """Wait for answers that may be on their way, by how long the driver has taken so far."""
-        now = time.monotonic()
+        now = self._now()
         timeout = self._outlet.settings.answer_timeout
-        taken = max(timeout, now - self._first_asked_at)
-        self._patient_until = now + STRAGGLING * min(taken, max(timeout, LONGEST_STRAGGLING))
+        taken = now - self._first_asked_at
+        if self._unanswered:
+            wait = STRAGGLING * min(max(timeout, taken), max(timeout, LONGEST_STRAGGLING))
+        else:
+            # all are in, unless more were on their way than we know of
+            wait = min(max(QUIET_SECONDS, STRAGGLING * taken), timeout)
+        self._patient_until = now + wait
 
     def _send_put_off(self) -> None:
+        # what has not come by now was never to come
+        self._unanswered = 0
         while self._put_off and not self._unanswered:
             self._put_off.popleft()()
+        if self._put_off:
+            self._be_patient()
