@@ -1,45 +1,98 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
-"""sensor_msgs/Image <-> rgb array, with every claim of the message checked."""
+"""sensor_msgs images <-> rgb arrays, with every claim of a message checked."""
 from __future__ import annotations
+
+import io
+from typing import NamedTuple
 
 import numpy as np
 
 from msgs_bridge.errors import MessageError
 from msgs_bridge.stamps import set_stamp
 
-# A car's camera is small; a larger claim is a mistake or an attack.
+# A larger claim is a mistake or an attack.
 MAX_SIDE = 4096
-# channel order of the encodings that are understood
-RGB_CHANNELS = {'rgb8': (0, 1, 2), 'bgr8': (2, 1, 0), 'rgba8': (0, 1, 2), 'bgra8': (2, 1, 0)}
-CHANNELS = {'rgb8': 3, 'bgr8': 3, 'rgba8': 4, 'bgra8': 4}
+MAX_BYTES = 64 << 20
 
 
-def image_to_array(message: object) -> np.ndarray:
+class Encoding(NamedTuple):
+    """How many channels an encoding has, and where red, green and blue lie among them."""
+
+    channels: int
+    rgb: tuple[int, int, int]
+
+
+ENCODINGS = {
+    'rgb8': Encoding(3, (0, 1, 2)), 'bgr8': Encoding(3, (2, 1, 0)),
+    'rgba8': Encoding(4, (0, 1, 2)), 'bgra8': Encoding(4, (2, 1, 0)),
+    'mono8': Encoding(1, (0, 0, 0)), '8UC1': Encoding(1, (0, 0, 0)),
+    # names no colours; OpenCV, which has the name, means blue, green, red
+    '8UC3': Encoding(3, (2, 1, 0)),
+}
+
+
+def image_to_array(message: object, encoding: str = '') -> np.ndarray:
     """
     Return the pixels of an Image as a read-only rgb array, uint8 (H, W, 3).
 
     rgb8 is a view on the message's buffer; other encodings are copied.
 
+    Args:
+        message: a sensor_msgs/Image.
+        encoding: taken in place of what the message says, for cameras that say it wrongly.
+
     Raises:
         MessageError: unknown encoding, a size of 0 or above 4096, a row step that is too short,
             or data that is not as long as height and step say.
     """
-    encoding, height, width, step = message.encoding, message.height, message.width, message.step
-    if encoding not in CHANNELS:
-        raise MessageError(f'image encoding {encoding!r}; accepted: {", ".join(CHANNELS)}')
-    if not (0 < height <= MAX_SIDE and 0 < width <= MAX_SIDE):
-        raise MessageError(f'image of {width}x{height}; accepted: 1 to {MAX_SIDE} a side')
-    channels = CHANNELS[encoding]
+    encoding = encoding or message.encoding
+    if encoding not in ENCODINGS:
+        raise MessageError(
+            f'image encoding {encoding[:40]!r}; accepted: {", ".join(ENCODINGS)}')
+    height, width, step = message.height, message.width, message.step
+    _check_size(width, height)
+    channels, rgb = ENCODINGS[encoding]
     if step < width * channels:
         raise MessageError(f'image step {step} is shorter than a row of {width * channels} bytes')
     data = np.frombuffer(message.data, np.uint8)
     if data.size != height * step:
         raise MessageError(f'image has {data.size} bytes; its header says {height * step}')
     pixels = data.reshape(height, step)[:, :width * channels].reshape(height, width, channels)
-    if encoding != 'rgb8':
-        pixels = np.ascontiguousarray(pixels[:, :, list(RGB_CHANNELS[encoding])])
+    if (channels, rgb) != ENCODINGS['rgb8']:
+        pixels = np.ascontiguousarray(pixels[:, :, list(rgb)])
     return pixels
+
+
+def compressed_to_array(message: object) -> np.ndarray:
+    """
+    Return the pixels of a CompressedImage, jpeg or png, as an rgb array, uint8 (H, W, 3).
+
+    Raises:
+        MessageError: more than 64 MiB, a size of 0 or above 4096, or bytes that are neither; the
+            size is looked at before anything is unpacked.
+    """
+    # only cameras that compress need it
+    from PIL import Image, UnidentifiedImageError
+
+    if len(message.data) > MAX_BYTES:
+        raise MessageError(f'image of {len(message.data)} bytes; accepted: up to {MAX_BYTES}')
+    try:
+        with Image.open(io.BytesIO(bytes(message.data)), formats=('JPEG', 'PNG')) as picture:
+            _check_size(*picture.size)
+            return np.asarray(picture.convert('RGB'))
+    except UnidentifiedImageError:
+        raise MessageError('image is neither jpeg nor png') from None
+    except (OSError, ValueError, SyntaxError, EOFError, MemoryError,
+            Image.DecompressionBombError) as error:
+        if isinstance(error, MessageError):
+            raise
+        raise MessageError(f'image cannot be unpacked: {str(error)[:80]}') from None
+
+
+def _check_size(width: int, height: int) -> None:
+    if not (0 < height <= MAX_SIDE and 0 < width <= MAX_SIDE):
+        raise MessageError(f'image of {width}x{height}; accepted: 1 to {MAX_SIDE} a side')
 
 
 def fill_image(message: object, pixels: np.ndarray, stamp: int, frame_id: str) -> object:
