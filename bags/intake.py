@@ -41,6 +41,8 @@ LATE_SECONDS = 0.15
 # for how long a late look matters; Fast DDS by itself has a heartbeat each 3 s
 LATE_MATTERS_SECONDS = 3.2
 STOP_SECONDS = 1.2
+# nothing is under way for so long, whatever a publisher says of its time; ns
+UNDER_WAY = 60 * 10 ** 9
 
 
 class Intake:
@@ -114,7 +116,7 @@ class Intake:
         began = quiet_since = time.monotonic()
         quiet, rest = 0.0, False
         while not rest and time.monotonic() - began < STOP_SECONDS:
-            if any(sent <= ended for _, sent, _, _ in self._look()):
+            if any(ended - UNDER_WAY < sent <= ended for _, sent, _, _ in self._look()):
                 quiet_since = time.monotonic()
             quiet = time.monotonic() - quiet_since
             rest = quiet > self._quiet_seconds() and not self._cut_short and middleware_at_rest()

@@ -36,6 +36,7 @@ from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, qos_profile_sensor_data
 from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.subscription import Subscription
 
 # seconds that the subscribers have at the end to take the last messages
 LAST_WORDS = 2.0
@@ -47,6 +48,8 @@ FIRST_MESSAGES = 500
 LOOK_SECONDS = 0.02
 # how often it is looked who listens
 LISTENERS_SECONDS = 0.5
+# what DDS may need to find a subscription once its publisher was found
+MUTUAL_SECONDS = 0.5
 SWITCH_SECONDS = 0.0002
 # messages that the diagnostics judge the timing by
 RECENT = 1000
@@ -97,7 +100,8 @@ class BagPlayerNode(NodeShell):
         for name in self._remaps:
             self._must_have(name)
         self._answers = Answers(settings.answer_timeout)
-        self._answered: set[str] = set()
+        # image topics whose messages a driver answers -> where
+        self._answered: dict[str, Subscription] = {}
         self._outputs: dict[str, Publisher] = {}
         self._create_publishers(self._chosen_topics())
         self._listeners = Listeners(self, self._outputs)
@@ -228,8 +232,7 @@ class BagPlayerNode(NodeShell):
             qos_overriding_options=QoSOverridingOptions.with_default_policies())
         space, _, base = target.rpartition('/')
         if self.settings.answer_timeout and base == IMAGE.name:
-            self._answered.add(name)
-            self.create_subscription(
+            self._answered[name] = self.create_subscription(
                 TwistStamped, f'{space}/{CMD_VEL.name}', self._answers.take,
                 qos_profile_sensor_data, raw=True)
         return publisher
@@ -264,7 +267,10 @@ class BagPlayerNode(NodeShell):
     def _wait_for_subscribers(self) -> None:
         deadline = time.monotonic() + self.settings.wait_for_subscribers
         while time.monotonic() < deadline and not self._done.is_set():
-            if self._listeners.complete():
+            if self._listeners.complete() and all(
+                    one.get_publisher_count() for one in self._answered.values()):
+                # that a driver is found does not mean that it has found us
+                self._done.wait(MUTUAL_SECONDS if self._answered else 0)
                 return
             time.sleep(0.01)
 

@@ -153,6 +153,9 @@ class BagReader:
                 self.problems.append(
                     f'{FILE_NAME} says {topic.name} is {topic.type_name}, '
                     f'the files say {self.topics[topic.name].type_name}')
+            elif topic.qos:
+                # also that of publishers who came after the first message
+                self.topics[topic.name].qos = topic.qos
         for name in self.topics.keys() - {topic.name for topic in self.metadata.topics}:
             self.problems.append(f'{FILE_NAME} does not name the topic {name}')
 

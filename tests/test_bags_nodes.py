@@ -1,7 +1,7 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
 """Recorder and player as real processes over real DDS."""
-from collections import Counter
+from collections import Counter, defaultdict
 import json
 from pathlib import Path
 import re
@@ -12,12 +12,16 @@ import subprocess
 import sys
 import time
 
-from bag_cases import read_all, record_drive
+from bag_cases import read_all, record_drive, serialized
 from bags.errors import BagError
+from bags.qos_text import offered_qos
 from bags.reader import BagReader
 from bags.recover import recover_bag
+from bags.schemas import Schema
 from bags.transitions import bag_transitions
 from bags.verify import verify_bag
+from bags.writer import BagWriter
+from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
 from forger import TYPES
 from geometry_msgs.msg import Twist
@@ -29,7 +33,7 @@ import numpy as np
 import pytest
 from rclpy.duration import Duration
 from rclpy.qos import (
-    DurabilityPolicy, LivelinessPolicy, qos_profile_sensor_data, QoSProfile,
+    DurabilityPolicy, LivelinessPolicy, qos_profile_sensor_data, QoSProfile, ReliabilityPolicy,
 )
 from rclpy.serialization import deserialize_message
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
@@ -305,6 +309,9 @@ def test_pause_and_step_services(graph, tmp_path):
     (PLAYER[0], ['bag:={folder}/none'], 'does not exist'),
     (PLAYER[0], ['bag:={folder}'], 'has no metadata.yaml'),
     (PLAYER[0], ['rate:=1.0'], 'no bag was given'),
+    (RECORDER[0], ['folder:={folder}/new', 'topics:="a b"'], "'a b' cannot be the name of a"),
+    (RECORDER[0], ['folder:={folder}/new', 'exclude:="1"'], 'cannot be the name of a topic'),
+    (RECORDER[0], ['folder:={folder}/new', "provenance:='{{\"a\": \"\\ud800\"}}'"], 'surrogate'),
 ])
 def test_what_is_wrong_ends_the_node_with_one_line(tmp_path, module, parameters, told):
     command = [sys.executable, '-m', module, '--ros-args']
@@ -517,3 +524,114 @@ def memory(child):
     """Return the resident bytes of a node."""
     status = Path(f'/proc/{child.process.pid}/status').read_text()
     return int(re.search(r'VmRSS:\s+(\d+)', status)[1]) << 10
+
+
+def string_bag(folder, topics_of):
+    """Write 20 words a topic, 10 ms apart, with the profiles given for it."""
+    with BagWriter(folder) as writer:
+        numbers = [writer.add_topic(name, 'std_msgs/msg/String', profiles,
+                                    schema=Schema(type_name, '', '', ''))
+                   for name, (type_name, profiles) in topics_of.items()]
+        for count in range(20):
+            for number in numbers:
+                time_ = 10 ** 9 + count * 10 ** 7
+                writer.write(number, time_, time_, serialized('std_msgs/msg/String', f'{count}'))
+    return folder
+
+
+def test_a_player_offers_what_was_recorded_and_says_who_cannot_hear_it(graph, tmp_path):
+    space = f'/{graph.namespace}'
+    text = 'std_msgs/msg/String'
+    loose = {**offered_qos(reliable=False), 'deadline': {'sec': 3, 'nsec': 0},
+             'lifespan': {'sec': 7, 'nsec': 0}, 'liveliness': 'manual_by_topic',
+             'liveliness_lease_duration': {'sec': 9, 'nsec': 0}}
+    string_bag(tmp_path / 'bag', {
+        f'{space}/loose': (text, [loose]), f'{space}/quiet': (text, [offered_qos()]),
+        f'{space}/both': (text, [offered_qos(), loose])})
+    heard = defaultdict(list)
+    listen = graph.probe.create_subscription
+    listen(String, 'loose', heard['loose'].append, 100)
+    listen(String, 'both', heard['both'].append, 100)
+    graph.listen(topics.DIAGNOSTICS)
+    player = graph.node(*PLAYER, bag=str(tmp_path / 'bag'), start_paused=True)
+    graph.spin_until(lambda: 'does not hear' in graph.health(PLAYER[1]).get('summary', ''), 20,
+                     'the reason in the diagnostics')
+    offer, = graph.probe.get_publishers_info_by_topic(f'{space}/loose')
+    assert (offer.qos_profile.reliability, offer.qos_profile.liveliness) == (
+        ReliabilityPolicy.BEST_EFFORT, LivelinessPolicy.MANUAL_BY_TOPIC)
+    assert [one.nanoseconds // 10 ** 9 for one in (
+        offer.qos_profile.deadline, offer.qos_profile.lifespan,
+        offer.qos_profile.liveliness_lease_duration)] == [3, 7, 9]
+    pause = graph.probe.create_client(SetBool, 'bag_player_node/pause')
+    graph.spin_until(pause.service_is_ready, 10, 'service')
+    pause.call_async(SetBool.Request(data=False))
+    graph.spin_until(lambda: player.process.poll() is not None, 20, 'the end')
+    assert player.process.poll() == 0
+    graph.spin(0.2)
+    # of several publishers the strongest, so that a reliable subscriber of one hears it
+    assert (len(heard['loose']), len(heard['both'])) == (0, 20)
+    assert sum('probe does not hear' in line for line in said(player)) == 1
+    last = said(player)[-1]
+    assert f'nobody listened to {space}/loose, {space}/quiet' in last
+
+
+def test_a_player_leaves_out_what_cannot_be_played(graph, tmp_path):
+    space = f'/{graph.namespace}'
+    string_bag(tmp_path / 'bag', {
+        f'{space}/words': ('std_msgs/msg/String', []), '/[/x]': ('std_msgs/msg/String', []),
+        '/not a name': ('std_msgs/msg/String', []), '/a': ('os/path/join', []),
+        '/b': ('std_msgs/msg/_bool', []), '/c': ('rclpy/node/Node', []),
+        '/d': ('std_srvs/srv/SetBool', []), '/e': ('antigravity/x/Y', [])})
+    heard = []
+    graph.probe.create_subscription(String, 'words', heard.append, 100)
+    player = graph.node(*PLAYER, bag=str(tmp_path / 'bag'))
+    graph.spin_until(lambda: player.process.poll() is not None, 20, 'the end')
+    assert player.process.poll() == 0
+    assert len(heard) == 20
+    assert sum('is not played' in line for line in said(player)) == 7
+    assert not any('Traceback' in line for line in said(player))
+
+
+def test_a_bag_is_played_as_fast_as_a_driver_answers(graph, tmp_path):
+    bag = record_drive(tmp_path / 'bag', episodes=1, decisions=60)
+    graph.listen(topics.CMD_VEL)
+    graph.node(*POLICY, model='random')
+    graph.spin_until(lambda: graph.probe.count_publishers('cmd_vel'), 30, 'policy')
+    graph.spin(1.0)
+    player = graph.node(
+        *PLAYER, bag=str(bag), prefix=f'/{graph.namespace}', wait_for_subscribers=20.0,
+        topics='/image_raw,/cmd_vel', answer_timeout=10.0)
+    graph.spin_until(lambda: player.process.poll() is not None, 40, 'the end')
+    assert '0 images were not answered' in said(player)[-1]
+    with BagReader(bag) as reader:
+        images = reader.topics['/image_raw'].message_count
+    # each image has its answer, and nobody played the recorded ones
+    assert len(graph.messages['cmd_vel']) == images == 61
+
+
+@pytest.mark.parametrize('clock', [True, False])
+def test_a_recorder_on_simulation_time_logs_by_it_if_there_is_any(graph, tmp_path, clock):
+    recorder = start_recorder(graph, tmp_path / 'bag', use_sim_time=True, exclude='/clock')
+    words = graph.probe.create_publisher(String, 'words', 10)
+    clocks = graph.publisher(topics.CLOCK)
+    wait_for(lambda: words.get_subscription_count() and clocks.get_subscription_count(), 10,
+             'recorder')
+    words.publish(String(data='before any clock'))
+    for second in range(100, 110):
+        if clock:
+            clocks.publish(Clock(clock=Time(sec=second)))
+            time.sleep(0.02)
+        words.publish(String(data='a'))
+        words.publish(String(data='b'))
+        time.sleep(0.02)
+    assert stop(recorder) == 0
+    with BagReader(tmp_path / 'bag') as reader:
+        times = [one.log_time for one in reader.messages([f'/{graph.namespace}/words'])]
+        assert '/clock' not in reader.topics
+    if clock:
+        assert times == [100 * 10 ** 9] + [second * 10 ** 9 for second in range(100, 110)
+                                           for _ in 'ab']
+    else:
+        assert len(times) == 21
+        assert min(times) > 10 ** 18
+        assert any('nobody published /clock' in line for line in said(recorder))
