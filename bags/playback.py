@@ -66,6 +66,11 @@ class Playback:
         self._anchor: tuple[float, int] | None = None
         self._next_tick = 0.0
 
+    @property
+    def unpaced(self) -> bool:
+        """Return whether messages go out as fast as they are taken."""
+        return self._rate == 0
+
     def play(self, messages: Iterable[BagMessage]) -> None:
         """Play messages in their order until they end or `stop` is called."""
         self._anchor = None

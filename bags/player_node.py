@@ -3,6 +3,7 @@
 """The player: publishes a bag again, at the recorded pace or another."""
 from __future__ import annotations
 
+from collections import Counter
 from itertools import islice
 import sys
 import threading
@@ -45,6 +46,9 @@ LAST_WORDS = 2.0
 DEPTH, LEAST_DEPTH = 1000, 4
 DEPTH_BYTES = 64 << 20
 FIRST_MESSAGES = 500
+# Played as fast as possible, a topic waits for its subscribers each time that half of its
+# history is new, but not for long: one of them may have stopped.
+CONFIRM_PART, CONFIRM_SECONDS = 2, Duration(seconds=1)
 LOOK_SECONDS = 0.02
 # how often it is looked who listens
 LISTENERS_SECONDS = 0.5
@@ -103,6 +107,7 @@ class BagPlayerNode(NodeShell):
         # image topics whose messages a driver answers -> where
         self._answered: dict[str, Subscription] = {}
         self._outputs: dict[str, Publisher] = {}
+        self._unconfirmed: Counter[str] = Counter()
         self._create_publishers(self._chosen_topics())
         self._listeners = Listeners(self, self._outputs)
         self._clock_message = Clock()
@@ -290,6 +295,16 @@ class BagPlayerNode(NodeShell):
         self._outputs[message.topic].publish(data)
         if answered:
             self._answers.wait()
+        elif self._playback.unpaced:
+            self._keep_pace_with_listeners(message.topic)
+
+    def _keep_pace_with_listeners(self, name: str) -> None:
+        """Let DDS bring what was published before more replaces it."""
+        self._unconfirmed[name] += 1
+        publisher = self._outputs[name]
+        if self._unconfirmed[name] * CONFIRM_PART >= publisher.qos_profile.depth:
+            self._unconfirmed[name] = 0
+            publisher.wait_for_all_acked(CONFIRM_SECONDS)
 
     def _publish_clock(self, bag_time: int) -> None:
         if self._clock_publisher is not None:

@@ -53,7 +53,7 @@ class ReadAhead:
             for message in self._messages:
                 batch.append(message)
                 size += len(message.data)
-                if len(batch) == BATCH or size > BATCH_BYTES:
+                if len(batch) == BATCH or size >= BATCH_BYTES:
                     if not self._put(batch):
                         return
                     batch, size = [], 0

@@ -333,16 +333,19 @@ class BagRecorderNode(NodeShell):
             return
         self._dropped_at = now
         floods = []
-        for topic in self._intake.topics.values():
-            if topic.publishers and (
-                    since < 5.0 or topic.number is None or topic.largest > SMALL_BYTES):
-                before = resident_bytes()
-                self._listen_anew(topic)
-                let_go_of_freed_memory()
-                if before - resident_bytes() > LEAST_FLOOD_BYTES:
-                    # nobody knows how many there were
-                    topic.did_not_fit += 1
-                    floods.append(plain(topic.name))
+        # a topic of which nothing has come may hold the pieces of what is too large to come
+        suspects = [topic for topic in self._intake.topics.values() if topic.publishers and (
+            since < 5.0 or topic.number is None or topic.largest > SMALL_BYTES)]
+        for topic in sorted(suspects, key=lambda topic: -topic.largest):
+            before = resident_bytes()
+            if before < self._most_bytes:
+                break
+            self._listen_anew(topic)
+            let_go_of_freed_memory()
+            if before - resident_bytes() > LEAST_FLOOD_BYTES:
+                # nobody knows how many there were
+                topic.did_not_fit += 1
+                floods.append(plain(topic.name))
         self.counts['backlogs_dropped'] += len(floods)
         if floods:
             self.get_logger().warn(f'a flood: what waited in DDS of {", ".join(floods)} was '

@@ -12,7 +12,7 @@ import subprocess
 import sys
 import time
 
-from bag_cases import read_all, record_drive, serialized
+from bag_cases import read_all, record_drive, serialized, small_bag
 from bags.errors import BagError
 from bags.qos_text import offered_qos
 from bags.reader import BagReader
@@ -635,3 +635,45 @@ def test_a_recorder_on_simulation_time_logs_by_it_if_there_is_any(graph, tmp_pat
         assert len(times) == 21
         assert min(times) > 10 ** 18
         assert any('nobody published /clock' in line for line in said(recorder))
+
+
+def test_as_fast_as_possible_is_no_faster_than_the_subscribers(graph, tmp_path):
+    small_bag(tmp_path / 'bag', messages=4000)
+    recorder = start_recorder(graph, tmp_path / 'again', topics='reward,clock')
+    player = graph.node(*PLAYER, bag=str(tmp_path / 'bag'), rate=0.0, topics='/reward,/clock',
+                        prefix=f'/{graph.namespace}', wait_for_subscribers=10.0)
+    assert player.process.wait(60) == 0
+    assert stop(recorder) == 0
+    assert 'lost: none' in said(recorder)[-1]
+    with BagReader(tmp_path / 'again') as reader:
+        assert {name: topic.message_count for name, topic in reader.topics.items()} == {
+            f'/{graph.namespace}/reward': 4000, f'/{graph.namespace}/clock': 4000}
+
+
+def test_a_publisher_that_is_faster_than_the_recorder_keeps_nobody_else_from_it(graph, tmp_path):
+    recorder = start_recorder(graph, tmp_path / 'bag')
+    flood = graph.start('flood', [sys.executable, '-c', FLOOD, f'/{graph.namespace}/flood'])
+    words = graph.probe.create_publisher(String, 'words', 100)
+    wait_for(words.get_subscription_count, 10, 'recorder')
+    sent = publish_for(2.0, (words, String(data='sane')))
+    kill(flood)
+    time.sleep(0.3)
+    assert stop(recorder) == 0
+    with BagReader(tmp_path / 'bag') as reader:
+        found = verify_bag(reader)
+        assert found.good, found.problems
+        assert reader.topics[f'/{graph.namespace}/words'].message_count == sent
+        assert reader.topics[f'/{graph.namespace}/flood'].message_count > 100
+        lost = json.loads(reader.custom_data['lost_messages'])
+    assert set(lost) <= {f'/{graph.namespace}/flood'}
+
+
+FLOOD = """
+import rclpy, sys
+from std_msgs.msg import Int64
+rclpy.init()
+publisher = rclpy.create_node('flood').create_publisher(Int64, sys.argv[1], 100)
+message = Int64()
+while True:
+    publisher.publish(message)
+"""

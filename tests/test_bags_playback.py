@@ -5,8 +5,8 @@ import threading
 import time
 
 from bags.errors import BagError
-from bags.playback import Playback
-from bags.read_ahead import ReadAhead
+from bags.playback import LATE_KEPT, Playback
+from bags.read_ahead import BATCH_BYTES, ReadAhead, WAITING
 from bags.messages import BagMessage
 from bags.recording import Recording
 from bags.writer import BagWriter
@@ -178,3 +178,25 @@ def test_a_full_cache_is_said_and_nothing_is_dropped(tmp_path):
     assert recording.room == 5000
     assert recording.writer.message_count == 20
     assert recording.lost == 0
+
+
+def test_what_is_kept_of_how_late_messages_were_is_bounded():
+    playback = Playback(lambda message: None, rate=1e4)
+    playback.play(messages(LATE_KEPT + 1000, period=1))
+    assert playback.played == LATE_KEPT + 1000
+    assert len(playback.late) == LATE_KEPT
+    assert playback.timing_error()[2] >= max(playback.late)
+
+
+def test_large_messages_are_read_ahead_one_by_one():
+    read = []
+
+    def source():
+        for number in range(100):
+            read.append(number)
+            yield BagMessage('/x', number, 0, bytes(BATCH_BYTES))
+    ahead = ReadAhead(source())
+    next(iter(ahead))
+    time.sleep(0.3)
+    assert len(read) <= WAITING + 2, len(read)
+    ahead.close()
