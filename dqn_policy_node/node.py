@@ -38,6 +38,8 @@ import torch
 
 NO_MODEL = ''
 RANDOM_MODEL = 'random'
+# of weights only the last is of use, but a reader that keeps few goes deaf in a flood
+WEIGHTS_DEPTH = 100
 
 
 class DqnPolicyNode(NodeShell):
@@ -59,10 +61,11 @@ class DqnPolicyNode(NodeShell):
         self._cmd_vel = self.publisher(
             topics.CMD_VEL, type_name=None if stamped else 'geometry_msgs/msg/Twist')
         self._q_values = self.publisher(topics.Q_VALUES)
-        # only the newest image matters: an old one has no use any more
-        self.subscription(topics.IMAGE, self._on_image, depth=1, eager=True)
+        # only the newest matters: an old image has no use any more, nor have old weights
+        self.subscription(topics.IMAGE, self._on_image, eager=True, newest=True)
         if settings.hot_swap:
-            self.subscription(topics.WEIGHTS, self._on_weights)
+            self.subscription(
+                topics.WEIGHTS, self._on_weights, depth=WEIGHTS_DEPTH, newest=True)
         self._last_image = time.monotonic()
         self._halted = True
         self._connected = False

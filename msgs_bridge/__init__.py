@@ -3,5 +3,6 @@
 """
 The topic contract: names, types, QoS, message <-> array, transitions joined by stamp.
 
-Only `node_shell` and `qos` import rclpy; everything else works without ROS.
+The modules of nodes (`node_*`, `adaptive_subscription`, `matching`, `qos`) and `transport` import
+rclpy; everything else works without ROS.
 """

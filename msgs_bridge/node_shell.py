@@ -1,70 +1,57 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
-"""What all our nodes share: parameters from a settings class, topics, health, clean shutdown."""
+"""What all our nodes share: parameters from a settings class, topics, health."""
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
 import dataclasses
-import gc
-import os
-import signal
-import sys
 import time
-import traceback
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from msgs_bridge import topics
-from msgs_bridge.transport.arrival import Bell
-from msgs_bridge.errors import BridgeError, MessageError, SettingsError
+from msgs_bridge.adaptive_subscription import AdaptiveSubscription, OVERRIDES, PolledGroup
+from msgs_bridge.errors import MessageError, SettingsError
+from msgs_bridge.matching import deaf_subscriptions, subscriptions_of, type_name_of
 from msgs_bridge.message_types import message_class
-from msgs_bridge.host_only import stay_on_this_host
+from msgs_bridge.node_parameters import declare_settings
+from msgs_bridge.node_process import Finished, HelpWanted, run_node, STARTED
+from msgs_bridge.plain_text import plain
 from msgs_bridge.qos import qos_profile
-from msgs_bridge.settings import check_value, describe, from_mapping
-from msgs_bridge.transport.time_slices import shorten_time_slices
+from msgs_bridge.settings import check_value, describe, setting
 from msgs_bridge.topics import Topic
-from rcl_interfaces.msg import (
-    FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult,
-)
-import rclpy
-from rclpy.callback_groups import CallbackGroup
+from msgs_bridge.transport.arrival import Bell
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
-from rclpy.exceptions import InvalidParameterTypeException, ParameterException
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.utilities import get_default_context
+from rclpy.publisher import Publisher
+from rclpy.qos_overriding_options import InvalidQosOverridesError
+from rclpy.timer import Timer
 from std_srvs.srv import SetBool
 
-# declared by rclpy itself, or by it on our behalf
-FOREIGN_PARAMETERS = ('use_sim_time', 'start_type_description_service', 'qos_overrides')
+__all__ = ['Finished', 'NodeShell', 'PolledGroup', 'run_node', 'ShellSettings']
 
-# How often the executor has its turn in a node with eager subscriptions. One turn takes 0.3 to
-# 0.5 ms in rclpy, which is as long as the car needs for four frames.
-EXECUTOR_SECONDS = 0.01
-
+# how often subscriptions are held against the graph; seconds
+GRAPH_SECONDS = 0.5
+# how long the diagnostics warn of something that happened once; seconds
+WARN_SECONDS = 5.0
+# characters of a value in the diagnostics, and of their summary
+VALUE_LENGTH, SUMMARY_LENGTH = 200, 300
+# misfits that are logged, each once
+MOST_TOLD = 100
 # how often a node that is held back looks whether somebody still holds it; seconds
 HOLDER_SECONDS = 1.0
 
 
-class Finished(Exception):
-    """Raised in a callback by a node whose work is done; the process ends with code 0."""
+@dataclasses.dataclass(frozen=True)
+class ShellSettings:
+    """What can be set on every node."""
 
-
-class PolledGroup(CallbackGroup):
-    """Keeps its subscriptions out of the executor, for a thread that takes messages itself."""
-
-    def can_execute(self, entity: object) -> bool:
-        """Tell the executor to leave them alone."""
-        return False
-
-    def beginning_execution(self, entity: object) -> bool:
-        """Tell the executor to leave them alone."""
-        return False
-
-    def ending_execution(self, entity: object) -> None:
-        """Do nothing: nothing has begun."""
+    fast_transport: bool = setting(
+        True, "false: messages come by rclpy's executor alone, at the time slices that the "
+        'system gives; where the middleware cannot tell of new messages that is so anyway')
 
 
 class NodeShell(Node):
@@ -73,6 +60,7 @@ class NodeShell(Node):
 
     Attributes:
         settings: the current values; fields that are `live` follow `ros2 param set`.
+        shell: the values of `ShellSettings`.
         counts: events counted since the start, shown in the diagnostics.
         held_back: whether a learner holds this node back, see `serve_hold`.
     """
@@ -89,45 +77,79 @@ class NodeShell(Node):
 
         Raises:
             SettingsError: a parameter that is unknown or not accepted.
+            HelpWanted: the process was asked what the node is.
         """
-        self._wall = Clock(clock_type=ClockType.STEADY_TIME)
+        if STARTED.describe_only:
+            if not isinstance(settings_class, type):
+                settings_class = settings_class({})
+            raise HelpWanted(type(self), (settings_class, ShellSettings))
         super().__init__(name)
         if not isinstance(settings_class, type):
             settings_class = settings_class(
                 {key: given.value for key, given in self._parameter_overrides.items()})
+        # what our timers guard is wall time, and a simulator must not wait for its own clock
+        self._wall_clock = Clock(clock_type=ClockType.STEADY_TIME)
         self.counts: Counter[str] = Counter()
         self.held_back = False
-        self._eager: list[Any] = []
-        self._bell = Bell()
+        self._heard: list[tuple[str, AdaptiveSubscription]] = []
+        self._topic_publishers: list[tuple[Topic, Publisher]] = []
+        self._eager: list[AdaptiveSubscription] = []
+        self._bell: Bell | None = None
+        self._warnings: dict[str, float] = {}
+        self._told: set[str] = set()
         self._settings_class = settings_class
-        self.settings = from_mapping(settings_class, self._declare(settings_class))
+        self.settings, self.shell = declare_settings(
+            self, (settings_class, ShellSettings), STARTED.arguments)
         self.add_on_set_parameters_callback(self._on_set_parameters)
         self._diagnostics = self.publisher(topics.DIAGNOSTICS)
         self.create_timer(1.0, self.publish_diagnostics)
+        self.create_timer(GRAPH_SECONDS, self._watch_graph)
 
     def create_timer(
-        self, timer_period_sec: float, callback: Callable[[], None],
-        callback_group: CallbackGroup | None = None, clock: Clock | None = None, **options: Any,
-    ) -> Any:
-        """Create a timer that runs by wall time, unless a clock is given: /clock may stand."""
+        self, seconds: float, callback: Callable[[], None], *arguments: Any,
+        clock: Clock | None = None, **options: Any,
+    ) -> Timer:
+        """Create a timer by wall time, whatever `use_sim_time` says, unless a clock is given."""
         return super().create_timer(
-            timer_period_sec, callback, callback_group, clock or self._wall, **options)
+            seconds, callback, *arguments, clock=clock or self._wall_clock, **options)
 
-    def publisher(self, topic: Topic, *, type_name: str | None = None) -> Any:
-        """Create the publisher of a topic of the contract."""
-        return self.create_publisher(
-            message_class(type_name or topic.type_name), topic.name, qos_profile(topic))
+    def publisher(self, topic: Topic, *, type_name: str | None = None) -> Publisher:
+        """
+        Create the publisher of a topic of the contract.
+
+        Raises:
+            SettingsError: a parameter `qos_overrides` with a value that there is not.
+        """
+        try:
+            publisher = self.create_publisher(
+                message_class(type_name or topic.type_name), topic.name, qos_profile(topic),
+                qos_overriding_options=OVERRIDES)
+        except (InvalidQosOverridesError, RuntimeError, ValueError) as error:
+            raise SettingsError(f'qos_overrides of {topic.name}: {plain(error)}') from None
+        self._topic_publishers.append((topic, publisher))
+        return publisher
 
     def subscription(
-        self, topic: Topic, callback: Callable, *, type_name: str | None = None,
+        self, topic: Topic, callback: Callable[[Any], None], *, type_name: str | None = None,
         depth: int | None = None, polled: bool = False, eager: bool = False,
-    ) -> Any:
+        newest: bool = False,
+    ) -> AdaptiveSubscription:
         """
         Subscribe to a topic of the contract; bad messages are counted, not fatal.
 
         A `MessageError` that the callback raises is logged (throttled) and the node goes on.
-        With `polled` nothing is called until somebody calls `take`; with `eager` they do
-        not wait for the executor, for those that another node waits for.
+
+        Args:
+            topic: of the contract.
+            callback: called with a message.
+            type_name: another type than the contract's.
+            depth: another depth than the contract's.
+            polled: nothing is called until somebody calls `take`.
+            eager: messages do not wait for the executor, for nodes that another one waits for.
+            newest: only the newest message that waits is wanted; others are counted as skipped.
+
+        Raises:
+            SettingsError: a parameter `qos_overrides` with a value that there is not.
         """
         def checked(message: Any) -> None:
             try:
@@ -135,15 +157,17 @@ class NodeShell(Node):
             except MessageError as error:
                 self.counts[f'rejected_{topic.name}'] += 1
                 self.get_logger().warn(
-                    f'{topic.name}: {error}', throttle_duration_sec=5.0)
+                    f'{topic.name}: {plain(error, VALUE_LENGTH)}', throttle_duration_sec=5.0)
 
-        subscription = self.create_subscription(
-            message_class(type_name or topic.type_name), topic.name, checked,
-            qos_profile(topic, depth=depth),
-            callback_group=PolledGroup() if polled or eager else None)
-        if eager:
+        if eager and self.shell.fast_transport and self._bell is None:
+            self._bell = Bell()
+        subscription = AdaptiveSubscription(
+            self, message_class(type_name or topic.type_name), topic.name, checked,
+            qos_profile(topic, depth=depth), newest=newest,
+            group=PolledGroup() if polled else None, bell=self._bell if eager else None)
+        self._heard.append((topic.name, subscription))
+        if subscription.rings:
             self._eager.append(subscription)
-            self._bell.ring_for(subscription)
         return subscription
 
     @property
@@ -181,38 +205,49 @@ class NodeShell(Node):
         self.create_service(SetBool, name, answer)
         self.create_timer(HOLDER_SECONDS, outlive_holder)
 
-    def take(self, subscription: Any) -> bool:
+    def take(self, subscription: AdaptiveSubscription) -> bool:
         """Take one message of a polled subscription, if there is one, and call its callback."""
-        with subscription.handle:
-            taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
-        if taken is None:
-            return False
-        subscription.callback(taken[0])
-        return True
+        return subscription.take()
 
     def take_eagerly(self, seconds: float) -> None:
         """Call the callbacks of eager subscriptions as messages come, for some seconds."""
         until = time.monotonic() + seconds
         while time.monotonic() < until:
             # all are looked at, whichever has a message
-            if not any([self.take(subscription) for subscription in self._eager]):
+            if not any([subscription.take() for subscription in self._eager]):
                 self._bell.wait(until)
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
         """Return level, summary and values for the diagnostics; nodes add theirs."""
         return DiagnosticStatus.OK, 'running', {}
 
+    def warn_of(self, what: str) -> None:
+        """Log something that has happened, and warn of it in the diagnostics for a while."""
+        self._warnings[what] = time.monotonic() + WARN_SECONDS
+        self.get_logger().warn(what, throttle_duration_sec=5.0)
+
     def publish_diagnostics(self) -> None:
-        """Publish the health of this node."""
+        """Publish the health of this node, what does not fit in the graph and what was counted."""
         level, summary, values = self.health()
+        now = time.monotonic()
+        self._warnings = {what: until for what, until in self._warnings.items() if until > now}
+        troubles = [*self._misfits(), *self._warnings]
+        if troubles:
+            level = max(level, DiagnosticStatus.WARN)
+            summary = '; '.join([summary, *troubles])
         message = DiagnosticArray()
         message.header.stamp = self.get_clock().now().to_msg()
         status = DiagnosticStatus(
-            level=level, name=self.get_fully_qualified_name(), message=summary,
-            hardware_id='carracing_dqn')
+            level=level, name=self.get_fully_qualified_name(),
+            message=plain(summary, SUMMARY_LENGTH), hardware_id='carracing_dqn')
+        counted = {
+            f'{what}_{topic}': count
+            for topic, subscription in self._heard
+            for what, count in subscription.counts.items()}
         status.values = [
-            KeyValue(key=key, value=f'{value:.6g}' if isinstance(value, float) else str(value))
-            for key, value in {**values, **self.counts}.items()]
+            KeyValue(key=key, value=f'{value:.6g}' if isinstance(value, float)
+                     else plain(value, VALUE_LENGTH))
+            for key, value in {**values, **self.counts, **counted}.items()]
         message.status = [status]
         self._diagnostics.publish(message)
 
@@ -222,33 +257,28 @@ class NodeShell(Node):
     def close(self) -> None:
         """Save or finish what must not be lost; called once on every way out."""
 
-    def _declare(self, settings_class: type) -> dict[str, object]:
-        known = describe(settings_class)
-        overrides = self._parameter_overrides
-        for name in overrides:
-            if name not in known and not name.startswith(FOREIGN_PARAMETERS):
-                from_mapping(settings_class, {name: None})
-        values = {}
-        for name, (kind, default, description) in known.items():
-            given = overrides.get(name)
-            if given is not None and kind is float and given.type_ == Parameter.Type.INTEGER:
-                overrides[name] = Parameter(name, value=float(given.value))
-            elif given is not None:
-                check_value(name, kind, description, given.value)
-            descriptor = ParameterDescriptor(
-                description=description.text, additional_constraints=description.accepted,
-                read_only=not description.live)
-            if description.low is not None:
-                limits = {'from_value': kind(description.low), 'to_value': kind(description.high)}
-                if kind is int:
-                    descriptor.integer_range = [IntegerRange(**limits)]
-                else:
-                    descriptor.floating_point_range = [FloatingPointRange(**limits)]
-            try:
-                values[name] = self.declare_parameter(name, default, descriptor).value
-            except (ParameterException, InvalidParameterTypeException) as error:
-                raise SettingsError(f'{name}: {error}') from None
-        return values
+    def _watch_graph(self) -> None:
+        for topic, subscription in self._heard:
+            deaf = subscription.counts['deaf']
+            subscription.watch()
+            if subscription.counts['deaf'] > deaf:
+                self.warn_of(f'{topic}: nothing was heard after losses, subscribed anew')
+
+    def _misfits(self) -> list[str]:
+        """Return a text for every end of a topic that does not fit ours; log what is new."""
+        found = [f'{topic}: {text}'
+                 for topic, subscription in self._heard
+                 for text in subscription.unheard]
+        for topic, publisher in self._topic_publishers:
+            type_name = type_name_of(publisher.msg_type)
+            found += [f'{topic.name}: {text}' for text in deaf_subscriptions(
+                subscriptions_of(self, publisher.topic_name), type_name, publisher.qos_profile)]
+        for text in found:
+            # bounded, for names come from outside
+            if text not in self._told and len(self._told) < MOST_TOLD:
+                self._told.add(text)
+                self.get_logger().warn(text)
+        return found
 
     def _on_set_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
         known = describe(self._settings_class)
@@ -265,69 +295,3 @@ class NodeShell(Node):
             self.settings = dataclasses.replace(self.settings, **changes)
             self.settings_changed()
         return SetParametersResult(successful=True)
-
-
-def run_node(make_node: Callable[[], NodeShell], args: list[str] | None = None) -> int:
-    """
-    Run one node until SIGINT, SIGTERM or shutdown, and end the process.
-
-    A `BridgeError` while starting or running ends it with one line and code 2, an unexpected
-    error with its traceback and code 1, anything else with code 0.
-    """
-    code = 0
-    try:
-        stay_on_this_host()
-        _spin_to_the_end(make_node, args)
-    except BridgeError as error:
-        sys.stderr.write(f'error: {error}\n')
-        code = 2
-    except Exception:  # the process ends here, so this is where it is told
-        traceback.print_exc()
-        code = 1
-    _leave(code)
-    return code
-
-
-def _spin_to_the_end(make_node: Callable[[], NodeShell], args: list[str] | None) -> None:
-    rclpy.init(args=args)
-    node = None
-    try:
-        node = make_node()
-        executor = SingleThreadedExecutor()
-        executor.add_node(node)
-        if node.eager:
-            shorten_time_slices()
-            while rclpy.ok():
-                executor.spin_once(timeout_sec=0)
-                node.take_eagerly(EXECUTOR_SECONDS)
-        else:
-            executor.spin()
-    except (KeyboardInterrupt, ExternalShutdownException, Finished):
-        pass
-    except Exception:
-        # a signal in the middle of a callback makes any call of rclpy fail
-        if rclpy.ok():
-            raise
-    finally:
-        # what is left to do is bounded, and a second Ctrl-C must not cut off a save
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, signal.SIG_IGN)
-        if node is not None:
-            node.close()
-            node.destroy_node()
-        rclpy.try_shutdown()
-
-
-def _leave(code: int) -> None:
-    """
-    End the process without unloading every library.
-
-    Everything is saved and destroyed by now; taking down torch and DDS at the end of the
-    interpreter was seen to take 2 of the 3 seconds in which a run has to stop.
-    """
-    get_default_context(shutting_down=True)
-    # the context goes with its last reference, and the DDS participant with it
-    gc.collect()
-    sys.stdout.flush()
-    sys.stderr.flush()
-    os._exit(code)

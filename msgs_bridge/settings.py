@@ -8,12 +8,15 @@ YAML presets, command-line help and the tables in the documentation are all made
 """
 from __future__ import annotations
 
+from collections.abc import Iterable
 import dataclasses
 import difflib
 import math
+import textwrap
 from typing import Any, get_type_hints, TypeVar
 
 from msgs_bridge.errors import SettingsError
+from msgs_bridge.plain_text import LENGTH, plain
 
 Settings = TypeVar('Settings')
 
@@ -36,6 +39,10 @@ class Description:
         if self.low is None:
             return ''
         return f'{_plain(self.low)} to {_plain(self.high)}'
+
+
+# how a type is called in an error, and an example of what is meant
+_KINDS = {int: 'a whole number', float: 'a number', str: 'a text', bool: 'true or false'}
 
 
 def _plain(number: float) -> str:
@@ -88,14 +95,27 @@ def check_value(name: str, kind: type, description: Description, value: Any) -> 
     if kind is float and isinstance(value, int) and not isinstance(value, bool):
         value = float(value)
     if type(value) is not kind:
-        raise SettingsError(f'{name} must be a {kind.__name__}, not {value!r}')
+        raise SettingsError(f'{name} must be {_KINDS[kind]}, not {_shown(value)}')
     if kind is float and not math.isfinite(value):
-        raise SettingsError(f'{name} must be finite, not {value!r}')
+        raise SettingsError(f'{name} must be finite, not {_shown(value)}')
     if description.choices and value not in description.choices:
-        raise SettingsError(f'{name} is {value!r}; accepted: {description.accepted}')
+        raise SettingsError(f'{name} is {_shown(value)}; accepted: {description.accepted}')
     if description.low is not None and not description.low <= value <= description.high:
-        raise SettingsError(f'{name} is {value!r}; accepted: {description.accepted}')
+        raise SettingsError(f'{name} is {_shown(value)}; accepted: {description.accepted}')
     return value
+
+
+def unknown_setting(name: object, known: Iterable[str]) -> str:
+    """Return what is said of a name that is no setting, with the nearest one that is."""
+    # a text of megabytes is like no setting, and comparing it takes for ever
+    nearest = difflib.get_close_matches(str(name)[:LENGTH], list(known), n=1)
+    hint = f'; did you mean {nearest[0]!r}?' if nearest else ''
+    return f'unknown setting {_shown(name)}{hint}'
+
+
+def _shown(value: object) -> str:
+    """Return a value as Python writes it, cut if it is long."""
+    return plain(repr(value[:LENGTH + 1] if isinstance(value, str) else value))
 
 
 def from_mapping(settings_class: type[Settings], values: dict[str, Any]) -> Settings:
@@ -109,9 +129,7 @@ def from_mapping(settings_class: type[Settings], values: dict[str, Any]) -> Sett
     checked = {}
     for name, value in values.items():
         if name not in known:
-            nearest = difflib.get_close_matches(str(name), known, n=1)
-            hint = f'; did you mean {nearest[0]!r}?' if nearest else ''
-            raise SettingsError(f'unknown setting {name!r}{hint}')
+            raise SettingsError(unknown_setting(name, known))
         kind, _, description = known[name]
         checked[name] = check_value(name, kind, description, value)
     return settings_class(**checked)
@@ -134,8 +152,20 @@ def parse_text(settings_class: type, name: str, text: str) -> Any:
         else:
             value = kind(text)
     except (KeyError, ValueError):
-        raise SettingsError(f'{name} must be a {kind.__name__}, not {text!r}') from None
+        raise SettingsError(f'{name} must be {_KINDS[kind]}, not {_shown(text)}') from None
     return check_value(name, kind, description, value)
+
+
+def text_table(settings_class: type) -> str:
+    """Return the settings as lines for a terminal: name, type, default, then meaning."""
+    lines = []
+    for name, (kind, default, description) in describe(settings_class).items():
+        shown = repr(default) if kind is str else str(default).lower()
+        accepted = f'; {description.accepted}' if description.accepted else ''
+        lines.append(f'  {name} ({kind.__name__}, {shown}{accepted})')
+        lines.extend(textwrap.wrap(
+            description.text, 95, initial_indent=' ' * 6, subsequent_indent=' ' * 6))
+    return ''.join(f'{line}\n' for line in lines)
 
 
 def markdown_table(settings_class: type) -> str:

@@ -40,7 +40,7 @@ def test_a_bell_rings_for_what_arrives_and_not_before(node):
     publisher = node.publisher(topics.REWARD)
     subscription = node.subscription(topics.REWARD, heard.append, polled=True)
     bell = Bell()
-    bell.ring_for(subscription)
+    bell.ring_for(subscription.subscription)
     now = time.monotonic()
     bell.wait(now + 0.05)
     assert time.monotonic() >= now + 0.05
@@ -62,7 +62,7 @@ def test_a_bell_rings_for_what_arrived_before_anybody_waited(node):
     for number in range(3):
         publisher.publish(Float32(data=float(number)))
     bell = Bell()
-    bell.ring_for(subscription)
+    bell.ring_for(subscription.subscription)
     until = time.monotonic() + FOREVER
     bell.wait(until)
     assert time.monotonic() < until

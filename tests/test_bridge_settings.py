@@ -27,8 +27,8 @@ def test_defaults_and_values():
     ({'rte': 1.0}, "unknown setting 'rte'; did you mean 'rate'"),
     ({'rate': 11.0}, 'rate is 11.0; accepted: 0 to 10'),
     ({'rate': float('nan')}, 'finite'),
-    ({'count': 2.5}, 'count must be a int'),
-    ({'count': True}, 'count must be a int'),
+    ({'count': 2.5}, 'count must be a whole number'),
+    ({'count': True}, 'count must be a whole number'),
     ({'mode': 'c'}, "accepted: one of 'a', 'b'"),
 ])
 def test_what_is_not_accepted_is_named(values, words):
@@ -39,7 +39,7 @@ def test_what_is_not_accepted_is_named(values, words):
 def test_typed_values_are_read_by_their_type():
     assert parse_text(Example, 'count', '4') == 4
     assert parse_text(Example, 'on', 'true') is True
-    with pytest.raises(SettingsError, match='count must be a int'):
+    with pytest.raises(SettingsError, match='count must be a whole number'):
         parse_text(Example, 'count', 'four')
     with pytest.raises(SettingsError, match='did you mean'):
         parse_text(Example, 'cuont', '4')

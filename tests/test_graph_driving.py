@@ -256,7 +256,7 @@ def test_plain_twists_drive_too(graph):
     ({'stepping': 'lokstep'}, "accepted: one of 'lockstep', 'real_time'"),
     ({'action_repeat': 0}, 'accepted: 1 to 50'),
     ({'action_repat': 4}, "did you mean 'action_repeat'"),
-    ({'seed': 'seven'}, 'seed must be a int'),
+    ({'seed': 'seven'}, 'seed must be a whole number'),
 ])
 def test_parameters_that_are_not_accepted_end_the_node_with_one_line(graph, parameters, words):
     child = graph.node(*SIM, **parameters)

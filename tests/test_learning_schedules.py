@@ -158,7 +158,7 @@ def test_the_report_preset_names_every_number_that_it_could_change():
 @pytest.mark.parametrize(('text', 'message'), [
     ('gama: 0.9', "unknown setting 'gama'; did you mean 'gamma'"),
     ('gamma: 2.0', 'gamma is 2.0; accepted: 0 to 1'),
-    ('gamma: [1]', 'gamma must be a float'),
+    ('gamma: [1]', 'gamma must be a number'),
     ('- 1', 'must be a mapping'),
     ('a: b: c', 'is not YAML'),
     ('epsilon_end: 0.5\nepsilon_start: 0.1', 'epsilon_end 0.5 is above'),

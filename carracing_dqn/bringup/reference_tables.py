@@ -20,6 +20,7 @@ from msgs_bridge.settings import markdown_table
 from msgs_bridge.topics import TOPICS
 
 SETTINGS = {
+    'every_node': ('msgs_bridge.node_shell', 'ShellSettings'),
     'carracing_sim_node': ('carracing_dqn.simulation.settings', 'node_settings'),
     'dqn_policy_node': ('dqn_policy_node.settings', 'PolicySettings'),
     'trainer_node': ('trainer_node.settings', 'TrainerSettings'),

@@ -1,7 +1,7 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Wakes a thread as soon as a message has arrived, without an executor.
+Wakes a thread as soon as a message has arrived, without an executor, where that can be done.
 
 The middleware calls a function for each message that has arrived (`rcl`'s on-new-message
 callback), in its receiving thread and without Python.
@@ -12,22 +12,36 @@ import ctypes
 import os
 import select
 import time
+from typing import Any
 
-from msgs_bridge.errors import BridgeError
 from rclpy.subscription import Subscription
 
 # A wait shorter than this is spent awake, for falling asleep and being woken takes about as long;
 # but only if the last one was as short, so that a thread that waits for long burns nothing.
 AWAKE_SECONDS = 250e-6
 
-# rclpy has loaded the library by now; looked up here, so that a node without it does not start
-_set_callback = ctypes.CDLL('librcl.so').rcl_subscription_set_on_new_message_callback
-_set_callback.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p]
-_set_callback.restype = ctypes.c_int
 
-# int eventfd_write(int, uint64_t), see eventfd(3): also good as a callback that gets a number
-# and a count of messages
-_eventfd_write = ctypes.cast(ctypes.CDLL(None).eventfd_write, ctypes.c_void_p).value
+
+def _functions() -> tuple[Any, int] | None:
+    """
+    Return rcl's function that sets a callback and the address of eventfd_write.
+
+    int eventfd_write(int, uint64_t), see eventfd(3), is also good as a callback that gets a
+    number and a count of messages. None where there are no such symbols: another system, another
+    C library, or a build of ROS in which rcl is no library of its own.
+    """
+    try:
+        # rclpy has loaded it by now
+        set_callback = ctypes.CDLL('librcl.so').rcl_subscription_set_on_new_message_callback
+        write = ctypes.cast(ctypes.CDLL(None).eventfd_write, ctypes.c_void_p).value
+    except (OSError, AttributeError):
+        return None
+    set_callback.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p]
+    set_callback.restype = ctypes.c_int
+    return (set_callback, write) if hasattr(os, 'eventfd') else None
+
+
+FUNCTIONS = _functions()
 
 
 def call_on_arrival(
@@ -47,8 +61,11 @@ def call_on_arrival(
     Returns:
         whether the middleware will do so.
     """
+    if FUNCTIONS is None:
+        return False
+    set_callback, _ = FUNCTIONS
     with subscription.handle:
-        return _set_callback(subscription.handle.pointer, function, argument) == 0
+        return set_callback(subscription.handle.pointer, function, argument) == 0
 
 
 class Bell:
@@ -61,22 +78,18 @@ class Bell:
 
     def __init__(self) -> None:
         """Open the event counter; it stays open, for the middleware may still write to it."""
+        self._awake = False
+        if FUNCTIONS is None:
+            return
         self._counter = os.eventfd(0, os.EFD_CLOEXEC | os.EFD_NONBLOCK)
         poll = select.poll()
         poll.register(self._counter, select.POLLIN)
         self._poll = poll.poll
-        self._awake = False
 
-    def ring_for(self, subscription: Subscription) -> None:
-        """
-        Ring for the messages of a polled subscription, too.
-
-        Raises:
-            BridgeError: the middleware does not tell of new messages.
-        """
-        if not call_on_arrival(subscription, _eventfd_write, self._counter):
-            raise BridgeError(
-                f'{subscription.topic_name}: this middleware does not tell of new messages')
+    def ring_for(self, subscription: Subscription) -> bool:
+        """Ring for the messages of a polled subscription, too; return whether that is possible."""
+        return FUNCTIONS is not None and call_on_arrival(
+            subscription, FUNCTIONS[1], self._counter)
 
     def wait(self, until: float) -> None:
         """Wait for a ring, at most until a time of the monotonic clock."""

@@ -1,0 +1,196 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""One node as a process: its arguments, its signals, its exit code and its end."""
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+import contextlib
+import dataclasses
+import gc
+import inspect
+import os
+import signal
+import sys
+import threading
+import traceback
+from typing import Any
+
+from msgs_bridge.errors import BridgeError, SettingsError
+from msgs_bridge.host_only import stay_on_this_host
+from msgs_bridge.plain_text import plain
+from msgs_bridge.settings import text_table
+from msgs_bridge.transport.time_slices import shorten_time_slices
+import rclpy
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.utilities import get_default_context, remove_ros_args
+
+# How often the executor has its turn in a node with eager subscriptions. One turn takes 0.3 to
+# 0.5 ms in rclpy, which is as long as the car needs for four frames.
+EXECUTOR_SECONDS = 0.01
+
+HELP = ('-h', '--help')
+
+
+class Finished(Exception):
+    """Raised in a callback by a node whose work is done; the process ends with code 0."""
+
+
+class HelpWanted(Exception):
+    """Raised in place of a node when only its description is wanted."""
+
+    def __init__(self, node_class: type, settings_classes: Sequence[type]) -> None:
+        """Carry the class of the node and those of its parameters."""
+        super().__init__()
+        self.node_class, self.settings_classes = node_class, settings_classes
+
+
+@dataclasses.dataclass
+class Started:
+    """
+    How this process was started.
+
+    Attributes:
+        arguments: what followed the name of the program.
+        describe_only: whether nodes are to raise `HelpWanted` instead of joining a graph.
+    """
+
+    arguments: Sequence[str] = ()
+    describe_only: bool = False
+
+
+STARTED = Started()
+
+
+def run_node(make_node: Callable[[], Any], args: list[str] | None = None) -> int:
+    """
+    Run one node until SIGINT, SIGTERM, SIGHUP or shutdown, and end the process.
+
+    `--help` describes it. A `BridgeError` while starting or running ends it with one line and
+    code 2, an unexpected error with its traceback and code 1, anything else with code 0.
+
+    Args:
+        make_node: makes a `NodeShell`.
+        args: what follows the name of the program; None takes the process' own.
+    """
+    arguments = sys.argv[1:] if args is None else list(args)
+    code = 0
+    try:
+        foreign = _foreign(arguments)
+        if any(one in HELP for one in foreign):
+            sys.stdout.write(node_help(make_node))
+        elif foreign:
+            raise SettingsError(
+                f'unknown argument {plain(foreign[0])!r}; parameters go after --ros-args, as in '
+                '--ros-args -p NAME:=VALUE; --help lists them')
+        else:
+            stay_on_this_host()
+            STARTED.arguments = arguments
+            _spin_to_the_end(make_node, arguments)
+    except BridgeError as error:
+        sys.stderr.write(f'error: {error}\n')
+        code = 2
+    except Exception:  # the process ends here, so this is where it is told
+        traceback.print_exc()
+        code = 1
+    _leave(code)
+    return code
+
+
+def node_help(make_node: Callable[[], Any]) -> str:
+    """Return purpose, topics and parameters of a node, without joining a graph."""
+    STARTED.describe_only = True
+    try:
+        make_node()
+        raise TypeError(f'{make_node} does not make a NodeShell')
+    except HelpWanted as wanted:
+        node_class, settings_classes = wanted.node_class, wanted.settings_classes
+    finally:
+        STARTED.describe_only = False
+    texts = (node_class.__doc__, sys.modules[node_class.__module__].__doc__)
+    purpose = next((text for text in texts if text and 'Purpose:' in text), texts[0] or '')
+    tables = ''.join(map(text_table, settings_classes))
+    return (f'{inspect.cleandoc(purpose)}\n\n'
+            f'Parameters, set by --ros-args -p NAME:=VALUE:\n{tables}')
+
+
+def _foreign(arguments: Sequence[str]) -> list[str]:
+    """Return the arguments that are not for ROS."""
+    with _told_in_a_line('arguments for ROS'):
+        return remove_ros_args(arguments)
+
+
+@contextlib.contextmanager
+def _told_in_a_line(what: str) -> Iterator[None]:
+    """Raise SettingsError for whatever ROS raises, which derives its errors from several bases."""
+    try:
+        yield
+    except Exception as error:
+        # the first line has the cause
+        lines = str(error).strip().splitlines() or [type(error).__name__]
+        raise SettingsError(f'{what}: {plain(lines[0], 300)}') from None
+
+
+def _end_on_hangup() -> None:
+    """End on SIGHUP, of a terminal that was closed, as on SIGTERM, unless it is ignored."""
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_DFL:
+        return
+    reader, writer = os.pipe()
+    os.set_blocking(writer, False)
+
+    def pass_on() -> None:
+        while signal.SIGHUP not in os.read(reader, 64):
+            pass
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    # Python runs its own handlers between two of its instructions only, and the main thread waits
+    # in the middleware; the number of the signal is written at once
+    signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
+    signal.signal(signal.SIGHUP, lambda *_: None)
+    threading.Thread(target=pass_on, name='hangup', daemon=True).start()
+
+
+def _spin_to_the_end(make_node: Callable[[], Any], arguments: list[str]) -> None:
+    with _told_in_a_line('ROS does not start'):
+        rclpy.init(args=arguments)
+    _end_on_hangup()
+    node = None
+    try:
+        node = make_node()
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        if node.eager:
+            shorten_time_slices()
+            while rclpy.ok():
+                executor.spin_once(timeout_sec=0)
+                node.take_eagerly(EXECUTOR_SECONDS)
+        else:
+            executor.spin()
+    except (KeyboardInterrupt, ExternalShutdownException, Finished):
+        pass
+    except Exception:
+        # a signal in the middle of a callback makes any call of rclpy fail
+        if rclpy.ok():
+            raise
+    finally:
+        # what is left to do is bounded, and a second Ctrl-C must not cut off a save
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            signal.signal(number, signal.SIG_IGN)
+        if node is not None:
+            node.close()
+            node.destroy_node()
+        rclpy.try_shutdown()
+
+
+def _leave(code: int) -> None:
+    """
+    End the process without unloading every library.
+
+    Everything is saved and destroyed by now; taking down torch and DDS at the end of the
+    interpreter was seen to take 2 of the 3 seconds in which a run has to stop.
+    """
+    get_default_context(shutting_down=True)
+    # the context goes with its last reference, and the DDS participant with it
+    gc.collect()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)

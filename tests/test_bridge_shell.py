@@ -1,0 +1,250 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""What every node has from the shell, over real DDS: it hears, and says what it cannot hear."""
+from array import array
+import dataclasses
+import subprocess
+import sys
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import Twist
+from msgs_bridge import topics
+from msgs_bridge.errors import SettingsError
+from msgs_bridge.node_shell import NodeShell
+from msgs_bridge.settings import setting
+from msgs_bridge.transport import arrival
+import pytest
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import Image
+from shell_pair import Pair
+from std_msgs.msg import UInt8MultiArray
+
+BEST_EFFORT = ReliabilityPolicy.BEST_EFFORT
+
+
+@dataclasses.dataclass(frozen=True)
+class Settings:
+    """Parameters of a made-up node."""
+
+    run: str = setting('', 'name of a run')
+    rate: float = setting(1.0, 'how often', low=0.1, high=100.0)
+
+
+class Listener(NodeShell):
+    """Hears images, rewards and weights; publishes twists."""
+
+    how: dict[str, bool] = {}
+
+    def __init__(self) -> None:
+        super().__init__('listener', Settings)
+        self.heard: list = []
+        self.images = self.subscription(topics.IMAGE, self.heard.append, **self.how)
+        self.twists = self.publisher(topics.CMD_VEL)
+
+
+class Poller(Listener):
+    """Takes images when asked."""
+
+    how = {'polled': True}
+
+
+class Newest(Listener):
+    """Takes the newest image when asked."""
+
+    how = {'polled': True, 'newest': True}
+
+
+class Eager(Listener):
+    """Hears images without the executor."""
+
+    how = {'eager': True}
+
+
+@pytest.fixture
+def pair():
+    """Return two nodes in this process."""
+    pair = Pair()
+    yield pair
+    pair.stop()
+
+
+@pytest.mark.parametrize('kind', [Listener, Poller, Eager])
+def test_a_best_effort_camera_is_heard(pair, kind):
+    node = pair.start(kind)
+    camera = pair.offer(Image, 'image_raw', reliability=BEST_EFFORT)
+    pair.spin_until(
+        lambda: node.heard, 5, 'an image', lambda: (
+            camera.publish(Image()), node.take(node.images) if kind is Poller else None,
+            node.take_eagerly(0.01) if node.eager else None))
+    assert node.images.qos.reliability == BEST_EFFORT
+    # of two cameras each is heard
+    other = pair.offer(Image, 'image_raw')
+    pair.spin_until(lambda: other.get_subscription_count() == 1, 5, 'heard, too')
+    # and when the first is gone what it did not offer is asked for again
+    pair.other.destroy_publisher(camera)
+    pair.spin_until(
+        lambda: node.images.qos.reliability == ReliabilityPolicy.RELIABLE, 5, 'reliable')
+
+
+def test_a_publisher_of_a_latched_topic_that_keeps_nothing_is_heard(pair):
+    node = pair.start(Listener)
+    heard = []
+    node.subscription(topics.WEIGHTS, heard.append)
+    weights = pair.offer(UInt8MultiArray, 'weights')
+    pair.spin_until(
+        lambda: heard, 5, 'weights', lambda: weights.publish(UInt8MultiArray(data=[1])))
+
+
+def test_a_latched_message_reaches_who_comes_later(pair):
+    node = pair.start(Listener)
+    weights = pair.offer(
+        UInt8MultiArray, 'weights', durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    weights.publish(UInt8MultiArray(data=[1]))
+    heard = []
+    node.subscription(topics.WEIGHTS, heard.append)
+    pair.spin_until(lambda: heard, 5, 'weights')
+
+
+def test_qos_overrides_are_those_of_rclpy(pair):
+    node = pair.start(
+        Listener,
+        '-p', f'qos_overrides.{pair.space}/image_raw.subscription.reliability:=best_effort',
+        '-p', f'qos_overrides.{pair.space}/image_raw.subscription.depth:=7',
+        '-p', f'qos_overrides.{pair.space}/cmd_vel.publisher.durability:=transient_local')
+    asked = node.get_subscriptions_info_by_topic(f'{pair.space}/image_raw')[0].qos_profile
+    offered = node.get_publishers_info_by_topic(f'{pair.space}/cmd_vel')[0].qos_profile
+    assert asked.reliability == BEST_EFFORT and node.images.qos.depth == 7
+    assert offered.durability == DurabilityPolicy.TRANSIENT_LOCAL
+    # what somebody has chosen stays, whatever is offered
+    camera = pair.offer(Image, 'image_raw')
+    pair.spin_until(lambda: node.heard, 5, 'an image', lambda: camera.publish(Image()))
+    pair.spin_until(lambda: len(pair.statuses) > 2, 5, 'some time')
+    assert node.images.qos.reliability == BEST_EFFORT
+
+
+def test_an_override_that_there_is_not_is_refused_in_a_line(pair):
+    with pytest.raises(SettingsError, match='qos_overrides.*reliability.*perhaps'):
+        pair.start(
+            Listener,
+            '-p', f'qos_overrides.{pair.space}/image_raw.subscription.reliability:=perhaps')
+
+
+def test_what_does_not_fit_is_named_on_both_sides(pair):
+    pair.start(
+        Listener,
+        '-p', f'qos_overrides.{pair.space}/image_raw.subscription.reliability:=reliable')
+    pair.offer(Image, 'image_raw', reliability=BEST_EFFORT)
+    pair.other.create_subscription(Twist, 'cmd_vel', lambda _: None, 10)
+    pair.other.create_subscription(
+        DiagnosticArray, '/diagnostics', lambda _: None,
+        QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+    pair.spin_until(lambda: pair.status and 'image_raw' in pair.status.message, 5, 'a warning')
+    assert pair.status.level == DiagnosticStatus.WARN
+    said = pair.status.message
+    assert f'QoS of {pair.space}/other does not match: Best effort publisher' in said
+    assert f'{pair.space}/other takes geometry_msgs/msg/Twist, this node publishes' in said
+    assert 'Volatile publisher and transient local subscription' in said
+
+
+def test_only_the_newest_image_is_taken_and_the_others_are_counted(pair):
+    node = pair.start(Newest)
+    camera = pair.offer(Image, 'image_raw', depth=50)
+    pair.spin_until(lambda: camera.get_subscription_count() == 1, 5, 'a subscription')
+    for width in range(30):
+        camera.publish(Image(width=width))
+    pair.spin_until(lambda: node.heard and node.heard[-1].width == 29, 5, 'the newest',
+                    lambda: node.take(node.images))
+    assert node.images.counts['skipped'] + len(node.heard) == 30 and len(node.heard) < 10
+
+
+FLOOD = """
+import sys, time, rclpy
+from array import array
+from sensor_msgs.msg import Image
+rclpy.init()
+node = rclpy.create_node('flood')
+camera = node.create_publisher(Image, sys.argv[1], 1)
+while not camera.get_subscription_count():
+    time.sleep(0.01)
+image = Image(data=array('B', bytes(27648)))
+until = time.monotonic() + 2
+while time.monotonic() < until:
+    camera.publish(image)
+time.sleep(3)
+while True:
+    camera.publish(Image(width=1))
+    time.sleep(0.02)
+"""
+
+
+def test_a_reader_is_made_anew_when_nothing_comes_after_a_flood(pair):
+    node = pair.start(Poller)
+
+    def take():
+        while node.take(node.images):
+            pass
+
+    first = node.images.subscription
+    flood = subprocess.Popen([sys.executable, '-c', FLOOD, f'{pair.space}/image_raw'])
+    try:
+        pair.spin_until(lambda: node.images.counts['lost'], 20, 'a loss',
+                        take)
+        # whether Fast DDS has made it deaf is a matter of luck; it is silent either way
+        pair.spin_until(lambda: node.images.counts['deaf'], 10, 'a new subscription',
+                        take)
+        assert node.images.subscription is not first
+        pair.spin_until(lambda: pair.status.level == DiagnosticStatus.WARN, 5, 'a warning')
+        assert 'subscribed anew' in pair.status.message
+        pair.spin_until(lambda: node.heard[-1].width == 1, 10, 'an image after the flood',
+                        take)
+    finally:
+        flood.kill()
+        flood.wait()
+
+
+def test_what_waits_in_the_middleware_is_bounded_in_bytes(pair):
+    node = pair.start(Poller)
+    camera = pair.offer(Image, 'image_raw')
+    image = Image(data=array('B', bytes(1 << 20)))
+
+    def work():
+        camera.publish(image)
+        node.take(node.images)
+
+    pair.spin_until(lambda: node.images.qos.depth == 64, 10, 'a depth for its size', work)
+    before = len(node.heard)
+    pair.spin_until(lambda: len(node.heard) > before + 3, 5, 'more images', work)
+    image.data = array('B', bytes(1 << 10))
+    pair.spin_until(lambda: node.images.qos.depth == topics.IMAGE.depth, 10, 'its depth', work)
+
+
+def test_where_the_middleware_tells_nothing_the_executor_delivers(pair, monkeypatch):
+    monkeypatch.setattr(arrival, 'FUNCTIONS', None)
+    node = pair.start(Eager)
+    assert not node.eager
+    camera = pair.offer(Image, 'image_raw')
+    pair.spin_until(lambda: node.heard, 5, 'an image', lambda: camera.publish(Image()))
+
+
+def test_fast_transport_can_be_switched_off(pair):
+    node = pair.start(Eager, '-p', 'fast_transport:=false')
+    assert not node.eager
+    camera = pair.offer(Image, 'image_raw')
+    pair.spin_until(lambda: node.heard, 5, 'an image', lambda: camera.publish(Image()))
+
+
+def test_timers_run_by_wall_time_although_nobody_publishes_a_clock(pair):
+    node = pair.start(Listener, '-p', 'use_sim_time:=true')
+    ticks = []
+    node.create_timer(0.05, lambda: ticks.append(1))
+    pair.spin_until(lambda: len(ticks) > 3 and pair.status, 5, 'timers and diagnostics')
+    assert node.get_clock().now().nanoseconds == 0
+
+
+def test_texts_from_outside_are_cut(pair):
+    node = pair.start(Listener)
+    node.counts['x'] = '\x1b]52;c;' + 'y' * 10000
+    node.health = lambda: (DiagnosticStatus.OK, '\x1b[31m' + 'z' * 10000, {})
+    pair.spin_until(lambda: pair.status, 5, 'diagnostics')
+    assert len(pair.status.message) == 300 and '\x1b' not in pair.status.message
+    assert len(pair.value('x')) == 200 and '\x1b' not in pair.value('x')
