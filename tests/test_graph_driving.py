@@ -36,7 +36,8 @@ def test_every_transition_of_a_lockstep_drive_arrives_once_and_is_what_the_simul
     graph.node(*POLICY, model='random', wait_for_subscribers=2)
     graph.node(*SIM, action_repeat=4, max_episode_frames=120, episodes=3, seed=7,
                seed_each_episode=True, wait_for_subscribers=1)
-    graph.spin_until(lambda: len(graph.messages['episode']) == 3, 30, 'three episodes')
+    # each begins and ends
+    graph.spin_until(lambda: len(graph.messages['episode']) == 6, 30, 'three episodes')
     graph.spin(0.3)
     joined, joiner = graph.join()
     assert len(joined) == 3 * 30
