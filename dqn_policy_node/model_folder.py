@@ -3,8 +3,8 @@
 """
 A model on disk: a folder with `weights.safetensors` and `model.json`.
 
-`model.json` holds the description, the training record and the hash of the weights file. A
-folder is written whole under another name and then put in place, never a pickle.
+`model.json` holds the description, the training record, the hash of the weights file and one of
+itself. A folder is written whole under another name and then put in place, never a pickle.
 """
 from __future__ import annotations
 
@@ -12,8 +12,6 @@ import dataclasses
 import hashlib
 import json
 from pathlib import Path
-import shutil
-import tempfile
 from typing import Any
 
 import torch
@@ -21,7 +19,8 @@ import torch
 from dqn_policy_node.errors import ModelError
 from dqn_policy_node.model_description import json_sha256, ModelDescription
 from dqn_policy_node.safetensors_image import MAX_BYTES, pack, unpack
-from msgs_bridge.atomic_write import write_bytes, write_text
+from msgs_bridge.atomic_write import atomic_folder, write_bytes, write_text
+from msgs_bridge.regular_file import read_regular
 
 WEIGHTS_FILE = 'weights.safetensors'
 MODEL_FILE = 'model.json'
@@ -29,6 +28,8 @@ FORMAT = 'carracing_dqn model 2'
 # of version 0.1: the description has another form
 READABLE = ('carracing_dqn model 1', FORMAT)
 MAX_MODEL_FILE_BYTES = 4 * 2**20
+# of an error about what a file says, so that it stays a line
+MAX_TEXT = 200
 
 
 @dataclasses.dataclass(frozen=True)
@@ -71,22 +72,11 @@ def save_model(folder: Path | str, model: Model) -> None:
         'sha256': {WEIGHTS_FILE: hashlib.sha256(weights).hexdigest()},
         'training': model.training,
     }
-    temporary = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f'.{folder.name}.'))
-    try:
-        new, old = temporary / 'new', temporary / 'old'
-        new.mkdir()
+    # of everything else in the file
+    record['record_sha256'] = json_sha256(record)
+    with atomic_folder(folder) as new:
         write_bytes(new / WEIGHTS_FILE, weights)
         write_text(new / MODEL_FILE, json.dumps(record, indent=1) + '\n')
-        if folder.exists():
-            folder.rename(old)
-        try:
-            new.rename(folder)
-        except OSError:
-            if old.exists():
-                old.rename(folder)
-            raise
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
 
 
 def load_model(folder: Path | str) -> Model:
@@ -98,11 +88,16 @@ def load_model(folder: Path | str) -> Model:
             the file.
     """
     folder = Path(folder)
-    text = _read(folder / MODEL_FILE, MAX_MODEL_FILE_BYTES)
+    text = read_regular(folder / MODEL_FILE, MAX_MODEL_FILE_BYTES, ModelError)
     try:
         record = json.loads(text)
         if not isinstance(record, dict) or record.get('format') not in READABLE:
             raise ModelError(f'format is not {FORMAT!r}')
+        own_hash = record.pop('record_sha256', None)
+        # folders of version 0.1 have none
+        if (own_hash is not None or record['format'] == FORMAT) and (
+                own_hash != json_sha256(record)):
+            raise ModelError('damaged, it does not match its hash')
         description = ModelDescription.from_json(record['description'])
         hash_of_weights = record['sha256'][WEIGHTS_FILE]
         training, version = record['training'], record['version']
@@ -111,27 +106,16 @@ def load_model(folder: Path | str) -> Model:
         if record['description_sha256'] != json_sha256(record['description']):
             raise ModelError('description does not match its hash')
     except ModelError as error:
-        raise ModelError(f'{folder / MODEL_FILE}: {error}') from None
+        raise ModelError(f'{folder / MODEL_FILE}: {str(error)[:MAX_TEXT]}') from None
     except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise ModelError(f'{folder / MODEL_FILE}: {type(error).__name__} {error}') from None
-    weights = _read(folder / WEIGHTS_FILE, MAX_BYTES)
+        raise ModelError(
+            f'{folder / MODEL_FILE}: {type(error).__name__} {str(error)[:MAX_TEXT]}') from None
+    weights = read_regular(folder / WEIGHTS_FILE, MAX_BYTES, ModelError)
     if hashlib.sha256(weights).hexdigest() != hash_of_weights:
         raise ModelError(f'{folder / WEIGHTS_FILE}: damaged, its hash is not the one in '
                          f'{MODEL_FILE}')
     try:
         tensors = unpack(weights, description)
     except ModelError as error:
-        raise ModelError(f'{folder / WEIGHTS_FILE}: {error}') from None
+        raise ModelError(f'{folder / WEIGHTS_FILE}: {str(error)[:MAX_TEXT]}') from None
     return Model(description, tensors, training, version)
-
-
-def _read(path: Path, limit: int) -> bytes:
-    """Return the bytes of a file of at most `limit` bytes; raises ModelError."""
-    try:
-        if path.stat().st_size > limit:
-            raise ModelError(f'{path}: longer than {limit} bytes')
-        return path.read_bytes()
-    except FileNotFoundError:
-        raise ModelError(f'{path}: no such file') from None
-    except OSError as error:
-        raise ModelError(f'{path}: {error.strerror}') from None

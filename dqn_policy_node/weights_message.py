@@ -86,11 +86,6 @@ def _read_record(data: bytes) -> tuple[dict[str, Any], ModelDescription]:
     return record, description
 
 
-def read_description(data: bytes) -> ModelDescription:
-    """Return the description inside a weights image; raises ModelError."""
-    return _read_record(data)[1]
-
-
 def is_marked(data: bytes) -> bool:
     """Return whether a weights image asks for a validation, weights unread; raises ModelError."""
     return _read_record(data)[0].get('validate') is True

@@ -16,8 +16,9 @@ from dqn_policy_node.network import QNetwork
 from dqn_policy_node.safetensors_image import pack
 from dqn_policy_node.shipped_models import find_model
 from dqn_policy_node.weights_message import (
-    decode_weights, encode_weights, is_marked, read_description,
+    decode_weights, encode_weights, is_marked,
 )
+from msgs_bridge import atomic_write
 from msgs_bridge.share import share_path
 import pytest
 import torch
@@ -90,6 +91,8 @@ def test_a_failing_swap_puts_the_old_model_back(folder, description, tensors, mo
             raise OSError(errno.EIO, 'Input/output error')
         return rename(self, target)
     monkeypatch.setattr(type(folder), 'rename', fail_on_new)
+    # as on a file system that cannot exchange two folders in one step
+    monkeypatch.setattr(atomic_write, '_exchange', lambda first, second: False)
     with pytest.raises(OSError, match='Input/output'):
         save_model(folder, Model(description, tensors, {}, 9))
     monkeypatch.undo()
@@ -128,11 +131,27 @@ def test_a_damaged_folder_names_the_file_in_one_line(folder, damage, text):
     assert str(folder) in str(caught.value)
 
 
-def test_a_description_changed_by_hand_does_not_match_its_hash(folder):
+@pytest.mark.parametrize('change', [
+    lambda record: record['description'].update(action_seconds=0.04),
+    lambda record: record.update(version=8),
+    lambda record: record['training'].update(decisions=10**9),
+    lambda record: record.update(format='carracing_dqn model 1'),
+    lambda record: record.pop('record_sha256'),
+])
+def test_a_record_changed_by_hand_does_not_match_its_hash(folder, change):
     record = json.loads((folder / 'model.json').read_text())
-    record['description']['action_seconds'] = 0.04
+    change(record)
     (folder / 'model.json').write_text(json.dumps(record))
-    with pytest.raises(ModelError, match='description does not match its hash'):
+    with pytest.raises(ModelError, match='model.json: damaged, it does not match its hash'):
+        load_model(folder)
+
+
+@pytest.mark.parametrize('name', ['model.json', 'weights.safetensors'])
+@pytest.mark.parametrize('make', [os.mkfifo, lambda path: path.symlink_to('/dev/zero')])
+def test_what_never_ends_is_not_read(folder, name, make):
+    (folder / name).unlink()
+    make(folder / name)
+    with pytest.raises(ModelError, match=f'{name}: not a regular file'):
         load_model(folder)
 
 
@@ -160,7 +179,7 @@ def test_a_weights_image_gives_back_what_went_in(description, tensors):
     assert not is_marked(encode_weights(tensors, description, version=3))
     assert update.extra == {'updates': 5}
     assert all(torch.equal(update.tensors[name], tensors[name]) for name in tensors)
-    assert read_description(data) == description
+    assert decode_weights(data).description == description
     assert decode_weights(data).description == description
 
 
