@@ -110,12 +110,15 @@ class Network:
         hidden: units of the fully connected layer.
         dueling: value and advantage streams, half of `hidden` each (arXiv 1511.06581).
         dropout: share of the second convolution's outputs that is dropped while learning.
+        quantiles: of the return of each action, whose mean is its Q-value (arXiv 1710.10044); 1 is
+            the Q-value itself.
     """
 
     convolutions: tuple[Convolution, ...]
     hidden: int
     dueling: bool = False
     dropout: float = 0.0
+    quantiles: int = 1
 
     def __post_init__(self) -> None:
         """Check the values; raises ModelError."""
@@ -128,6 +131,7 @@ class Network:
             raise ModelError(f'hidden is {self.hidden}; dueling halves it, so it must be even')
         if not isinstance(self.dropout, (int, float)) or not 0 <= self.dropout <= 0.9:
             raise ModelError(f'dropout is {self.dropout!r}; accepted: 0 to 0.9')
+        _check_whole('quantiles', self.quantiles, 1, 1024)
 
 
 def parse_convolutions(text: str) -> tuple[Convolution, ...]:
@@ -205,15 +209,17 @@ class ModelDescription:
             shapes[f'convolutions.{index}.bias'] = (layer.filters,)
             channels = layer.filters
         channels, height, width = self.features
-        hidden, actions = self.network.hidden, len(self.action_space)
+        hidden, quantiles = self.network.hidden, self.network.quantiles
+        outputs = len(self.action_space) * quantiles
         shapes['hidden.weight'] = (hidden, channels * height * width)
         shapes['hidden.bias'] = (hidden,)
         if self.network.dueling:
-            shapes['value.weight'], shapes['value.bias'] = (1, hidden // 2), (1,)
-            shapes['advantage.weight'] = (actions, hidden // 2)
-            shapes['advantage.bias'] = (actions,)
+            shapes['value.weight'] = (quantiles, hidden // 2)
+            shapes['value.bias'] = (quantiles,)
+            shapes['advantage.weight'] = (outputs, hidden // 2)
+            shapes['advantage.bias'] = (outputs,)
         else:
-            shapes['output.weight'], shapes['output.bias'] = (actions, hidden), (actions,)
+            shapes['output.weight'], shapes['output.bias'] = (outputs, hidden), (outputs,)
         return shapes
 
     @property
@@ -295,7 +301,7 @@ def _upgraded(values: dict[str, Any]) -> dict[str, Any]:
              **Command(row['gas'] - row['brake'], -row['steer'] + 0.0)._asdict()}
             for row in values['action_set']['actions']]
         return {
-            'network': values['network'],
+            'network': {'quantiles': 1, **values['network']},
             'preprocessing': {
                 'frame_height': FRAME_SIDE, 'frame_width': FRAME_SIDE,
                 **values['preprocessing']},

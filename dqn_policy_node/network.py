@@ -18,6 +18,9 @@ class QNetwork(nn.Module):
     """
     Convolutions, one fully connected layer and a Q-value for each action (report, 2.1).
 
+    With `quantiles` in its description the last layer gives that many quantiles of the return of
+    each action (arXiv 1710.10044), and a Q-value is their mean.
+
     Everything lies channels-last, in which the CPU's convolutions are fastest; the fully
     connected layer takes its inputs in that order, too, so nothing is moved in between.
     """
@@ -35,10 +38,11 @@ class QNetwork(nn.Module):
         actions = len(description.action_space)
         self.hidden = nn.Linear(channels * height * width, network.hidden)
         if network.dueling:
-            self.value = nn.Linear(network.hidden // 2, 1)
-            self.advantage = nn.Linear(network.hidden // 2, actions)
+            self.value = nn.Linear(network.hidden // 2, network.quantiles)
+            self.advantage = nn.Linear(network.hidden // 2, actions * network.quantiles)
         else:
-            self.output = nn.Linear(network.hidden, actions)
+            self.output = nn.Linear(network.hidden, actions * network.quantiles)
+        self._quantiles = network.quantiles
         self.dropout = network.dropout
         self.to(memory_format=torch.channels_last)
 
@@ -61,6 +65,18 @@ class QNetwork(nn.Module):
         Returns:
             float32 (B, actions), whatever the weights are.
         """
+        outputs = self._outputs(x, dropout)
+        return outputs if self._quantiles == 1 else outputs.mean(2)
+
+    def quantiles(
+        self, x: torch.Tensor, *, dropout: np.random.Generator | None = None,
+    ) -> torch.Tensor:
+        """Return the quantiles, float32 (B, actions, quantiles); arguments as for `forward`."""
+        outputs = self._outputs(x, dropout)
+        return outputs.unsqueeze(2) if self._quantiles == 1 else outputs
+
+    def _outputs(self, x: torch.Tensor, dropout: np.random.Generator | None) -> torch.Tensor:
+        """Return what the last layer gives: (B, actions), or (B, actions, quantiles)."""
         for index, layer in enumerate(self.convolutions):
             # observations are scaled to 0..1 by way of the weights, which are fewer
             weight = layer.weight * (1 / 255) if index == 0 else layer.weight
@@ -71,10 +87,15 @@ class QNetwork(nn.Module):
         x = functional.relu(self.hidden(x.permute(0, 2, 3, 1).flatten(1)), inplace=True)
         x = x.float()
         if not self.description.network.dueling:
-            return self.output(x)
+            return self._by_action(self.output(x))
         of_value, of_advantage = x.chunk(2, dim=1)
-        advantage = self.advantage(of_advantage)
-        return self.value(of_value) + advantage - advantage.mean(1, keepdim=True)
+        value, advantage = self.value(of_value), self._by_action(self.advantage(of_advantage))
+        if self._quantiles > 1:
+            value = value.unsqueeze(1)
+        return value + advantage - advantage.mean(1, keepdim=True)
+
+    def _by_action(self, x: torch.Tensor) -> torch.Tensor:
+        return x if self._quantiles == 1 else x.unflatten(1, (-1, self._quantiles))
 
     def to_bfloat16(self) -> QNetwork:
         """

@@ -1,11 +1,15 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
-"""A tiny agent and streams of transitions for the tests of learning."""
+"""A tiny agent, streams of transitions and runs of them for the tests of learning."""
+import csv
+
 from dqn_policy_node.action_space import DUMMY_SPACE
+from dqn_policy_node.weights_message import decode_weights
 from msgs_bridge.step import read_step
 from msgs_bridge.transitions import Transition
 import numpy as np
 from trainer_node.hyperparameters import Hyperparameters
+from trainer_node.training import Training
 
 TINY = {
     'convolutions': '4@4/4', 'hidden': 8, 'shrink': 8, 'frame_stack': 2, 'action_repeat': 4,
@@ -27,6 +31,13 @@ def make_step(**changes):
         'tiles_missed': 0.0, 'lap_position': 0.0, 'wheels_off_road': 0.0, 'speed': 0.0,
         'standing_still': 0.0, 'frames': 4.0, 'seed': -1.0, 'applied_sec': 0.0,
         'applied_nanosec': 0.0, **changes})
+
+
+def make_transition(**changes):
+    frame = np.zeros((96, 96, 3), np.uint8)
+    return Transition(**{
+        'stamp': 0, 'next_stamp': 80_000_000, 'frame': frame, 'next_frame': frame,
+        'command': COMMANDS[0], 'step': make_step(), 'previous': make_step(), **changes})
 
 
 def stream(count, *, seed=0, episode_length=13, terminated_share=0.5):
@@ -55,3 +66,41 @@ def stream(count, *, seed=0, episode_length=13, terminated_share=0.5):
             episode, decision, total = episode + 1, 0, 0.0
             frame = random.integers(0, 256, (96, 96, 3), np.uint8)
             previous = make_step(episode=episode)
+
+
+class Clock:
+    """Seconds that go forward by one with every look."""
+
+    def __init__(self):
+        self.seconds = 0.0
+
+    def __call__(self):
+        self.seconds += 1.0
+        return self.seconds
+
+
+def drive(training, transitions, log=None):
+    """Do what a driver does with each transition; validations are answered at once."""
+    for transition in transitions:
+        training.add(transition)
+        if training.weights_due():
+            data = training.next_weights()
+            if log is not None:
+                log.append(data)
+            update = decode_weights(data, training.description)
+            if update.validate:
+                training.record_validation(validation(update.version))
+
+
+def validation(version, **changes):
+    return {'version': version, 'episodes': 5, 'mean': 10.0 * version, 'std': 1.0, 'minimum': 0,
+            'maximum': 20, 'completed': 0.2, 'seconds': 3, **changes}
+
+
+def rows(path):
+    with open(path, newline='') as file:
+        return list(csv.DictReader(file))
+
+
+def create(folder, **changes):
+    return Training.create(tiny(**changes), folder, device='cpu', clock=Clock())

@@ -10,7 +10,7 @@ from bags.transitions import bag_transitions
 from graph_probe import carracing, start_carracing, wait_for
 import numpy as np
 import pytest
-from trainer_node.checkpoint_file import read_state
+from trainer_node.checkpoint_file import read_checkpoint
 from trainer_node.run_folder import RunFolder
 import yaml
 
@@ -41,6 +41,10 @@ def rows(path):
         return list(csv.DictReader(file))
 
 
+def learning(run):
+    return read_checkpoint(RunFolder(run).checkpoint)[1]['learning']
+
+
 def decisions(run):
     try:
         return int(rows(run / 'episodes.csv')[-1]['decisions'])
@@ -68,12 +72,12 @@ def test_train_stop_and_resume(preset, tmp_path):
     assert seconds < 4, said
     assert 'killed' not in said
     first = rows(run / 'episodes.csv')
-    state = read_state(RunFolder(run).checkpoint)
-    assert state['counters']['episodes'] == len(first)
+    state = learning(run)
+    assert state['episodes'] == len(first)
     assert state['updates'] > 0
     process = start_carracing('train', '--resume', str(run))
     try:
-        wait_for(lambda: decisions(run) > state['counters']['decisions'] + 100
+        wait_for(lambda: decisions(run) > state['decisions'] + 100
                  or process.poll() is not None, 60, '100 more decisions')
         _, said = stop(process, signal.SIGTERM)
     finally:
@@ -102,11 +106,11 @@ def test_a_node_that_dies_ends_the_run_with_its_name_and_the_run_can_go_on(prese
         process.kill()
     assert process.returncode == 2
     assert 'error: trainer ended with signal SIGKILL' in said
-    before = read_state(checkpoint)['counters']['decisions']
+    before = learning(run)['decisions']
     result = carracing('train', '--resume', str(run), '--set',
                        f'run_decisions={before + 60}', timeout=90)
     assert result.returncode == 0, result.stdout + result.stderr
-    assert read_state(checkpoint)['counters']['decisions'] == before + 60
+    assert learning(run)['decisions'] == before + 60
     assert (run / 'final' / 'model.json').is_file()
     assert (run / 'validation.csv').read_text().count('\n') == 2
 
@@ -116,7 +120,7 @@ def test_a_recorded_run_holds_every_transition_that_was_learned_from(preset, tmp
     result = carracing('train', '--preset', preset, '--run', str(run), '--bag', '--set',
                        'run_decisions=300', timeout=90)
     assert result.returncode == 0, result.stdout + result.stderr
-    learned = read_state(RunFolder(run).checkpoint)['counters']['decisions']
+    learned = learning(run)['decisions']
     joined = list(bag_transitions([run / 'bag']))
     assert learned == 300 and len(joined) >= 300
     returns = [float(row['train_reward']) for row in rows(run / 'episodes.csv')]

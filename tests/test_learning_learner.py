@@ -1,26 +1,27 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
 """The update, with targets worked out by hand, and that it learns."""
-import dataclasses
-
 from learning_cases import tiny
 import numpy as np
 import pytest
 import torch
 from trainer_node.errors import LearningError
-from trainer_node.learner import choose_device, Learner
+from trainer_node.learner import LEARNERS, make_learner as learner_of
+from trainer_node.losses import LOSSES
 from trainer_node.replay_buffer import Batch
+from trainer_node.value_learner import choose_device
 
 
 def make_learner(**changes):
     torch.manual_seed(0)
-    return Learner(tiny(**changes), 'cpu')
+    return learner_of(tiny(quantiles=4, **changes), 'cpu')
 
 
 def make_batch(size=6, seed=0, **changes):
     random = np.random.default_rng(seed)
     batch = Batch(
-        random.integers(0, 256, (size, 2, 12, 12), np.uint8), random.integers(0, 5, size),
+        random.integers(0, 256, (size, 2, 12, 12), np.uint8),
+        random.integers(0, 5, size, np.uint8),
         random.normal(size=size).astype(np.float32),
         random.integers(0, 256, (size, 2, 12, 12), np.uint8),
         np.where(random.random(size) < 0.5, 0, 0.9).astype(np.float32))
@@ -59,10 +60,80 @@ def test_loss_and_targets_by_hand(double, loss):
         expected_error.append(error)
         expected_q.append(q_value)
     result = learner.update(batch, 1e-3)
-    assert result.loss == pytest.approx(np.mean(expected_loss), rel=1e-5)
-    assert result.td_error == pytest.approx(np.mean(expected_error), rel=1e-5)
-    assert result.q_mean == pytest.approx(np.mean(expected_q), rel=1e-4, abs=1e-6)
+    assert result['loss'] == pytest.approx(np.mean(expected_loss), rel=1e-5)
+    assert result['td_error'] == pytest.approx(np.mean(expected_error), rel=1e-5)
+    assert result['q_mean'] == pytest.approx(np.mean(expected_q), rel=1e-4, abs=1e-6)
     assert learner.updates == 1
+
+
+@pytest.mark.parametrize('double', [False, True])
+@pytest.mark.parametrize('loss', ['l1', 'huber'])
+def test_quantile_loss_by_hand(double, loss):
+    learner = make_learner(learner='qr_dqn', double=double, loss=loss)
+    differ(learner.target)
+    batch = make_batch()
+
+    def quantiles(network, observations):
+        return network.quantiles(network.prepare(torch.from_numpy(observations))).numpy()
+
+    with torch.no_grad():
+        online = quantiles(learner.online, batch.observations)
+        next_online = quantiles(learner.online, batch.next_observations)
+        next_target = quantiles(learner.target, batch.next_observations)
+    assert online.shape == (6, 5, 4)
+    losses, means = [], []
+    for index in range(6):
+        best = (next_online if double else next_target)[index].mean(axis=1).argmax()
+        targets = batch.rewards[index] + batch.discounts[index] * next_target[index, best]
+        own = online[index, batch.actions[index]]
+        total = 0.0
+        for place, value in enumerate(own):
+            share = (2 * place + 1) / (2 * len(own))
+            for target in targets:
+                error = target - value
+                size = abs(error)
+                cost = size if loss == 'l1' else (
+                    0.5 * size ** 2 if size < 1 else size - 0.5)
+                total += abs(share - (error < 0)) * cost / len(targets)
+        losses.append(total)
+        means.append(own.mean())
+    result = learner.update(batch, 1e-3)
+    assert result['loss'] == pytest.approx(np.mean(losses), rel=1e-5)
+    assert result['q_mean'] == pytest.approx(np.mean(means), rel=1e-4, abs=1e-6)
+
+
+@pytest.mark.parametrize('dueling', [False, True])
+def test_a_q_value_is_the_mean_of_its_quantiles(dueling):
+    network = make_learner(learner='qr_dqn', dueling=dueling).online
+    seen = network.prepare(torch.from_numpy(make_batch().observations))
+    with torch.no_grad():
+        assert network(seen).shape == (6, 5)
+        assert torch.allclose(network(seen), network.quantiles(seen).mean(2))
+
+
+def test_quantiles_tell_a_gamble_from_a_sure_thing():
+    learner = make_learner(learner='qr_dqn', loss='huber', hidden=16)
+    random = np.random.default_rng(0)
+    observations = np.full((64, 2, 12, 12), 128, np.uint8)
+    for _ in range(300):
+        actions = random.integers(0, 2, 64, np.uint8)
+        rewards = np.where(actions == 0, 0.5, random.integers(0, 2, 64) * 2).astype(np.float32)
+        learner.update(
+            Batch(observations, actions, rewards, observations, np.zeros(64, np.float32)), 1e-2)
+    with torch.no_grad():
+        seen = learner.online.prepare(torch.from_numpy(observations[:1]))
+        sure, gamble = learner.online.quantiles(seen)[0, :2].numpy()
+    assert sure.max() - sure.min() < 0.3
+    assert gamble.max() - gamble.min() > 1.2
+    assert gamble.mean() == pytest.approx(1.0, abs=0.25)
+
+
+@pytest.mark.parametrize('name', LOSSES)
+def test_losses_are_elementwise_and_keep_the_shape(name):
+    error = torch.tensor([[-3.0, -0.5, 0.0], [0.5, 1.0, 2.0]])
+    expected = {'l1': [[3, 0.5, 0], [0.5, 1, 2]],
+                'huber': [[2.5, 0.125, 0], [0.125, 0.5, 1.5]]}[name]
+    assert LOSSES[name](error).tolist() == expected
 
 
 def test_dueling_adds_value_and_centred_advantage():
@@ -80,8 +151,8 @@ def test_dueling_adds_value_and_centred_advantage():
 def test_the_gradient_is_clipped():
     learner, free = make_learner(gradient_clip=0.001), make_learner(gradient_clip=1e6)
     batch = make_batch(rewards=np.full(6, 50, np.float32))
-    assert learner.update(batch, 1e-3).gradient_norm == pytest.approx(
-        free.update(batch, 1e-3).gradient_norm)
+    assert learner.update(batch, 1e-3)['grad_norm'] == pytest.approx(
+        free.update(batch, 1e-3)['grad_norm'])
     clipped = torch.cat([p.grad.flatten() for p in learner.online.parameters()])
     assert clipped.norm().item() == pytest.approx(0.001, rel=1e-3)
 
@@ -115,15 +186,16 @@ def test_acting_tensors_are_copies():
     assert torch.equal(tensors['hidden.weight'], before)
 
 
+@pytest.mark.parametrize('learner', LEARNERS)
 @pytest.mark.parametrize('bf16', [False, True])
-def test_it_learns_which_action_pays(bf16):
-    learner = make_learner(bf16=bf16, loss='huber', dropout=0.0)
+def test_each_learner_learns_which_action_pays(learner, bf16):
+    learner = make_learner(learner=learner, bf16=bf16, loss='huber', dropout=0.0)
     random = np.random.default_rng(0)
     for _ in range(400):
         dark = random.random(32) < 0.5
         observations = np.where(dark, 30, 220).astype(np.uint8)[:, None, None, None]
         observations = np.broadcast_to(observations, (32, 2, 12, 12)).copy()
-        actions = random.integers(0, 5, 32)
+        actions = random.integers(0, 5, 32, np.uint8)
         rewards = np.where(actions == np.where(dark, 1, 3), 1, -1).astype(np.float32)
         learner.update(
             Batch(observations, actions, rewards, observations, np.zeros(32, np.float32)), 5e-3)
@@ -149,10 +221,10 @@ def test_a_loss_that_is_not_finite_stops_with_the_reason_and_the_weights_as_they
         learner.update(make_batch(discounts=np.ones(6, np.float32)), 1e-3)
 
 
-def test_the_layout_is_the_fast_one_and_survives_a_restore():
-    learner, other = make_learner(dropout=0.3), make_learner(dropout=0.3)
-    settings = dataclasses.replace(learner.settings, convolutions='4@4/2 8@3/1', dropout=0.3)
-    learner, other = Learner(settings, 'cpu'), Learner(settings, 'cpu')
+@pytest.mark.parametrize('name', LEARNERS)
+def test_the_layout_is_the_fast_one_and_survives_a_restore(name):
+    learner, other = (make_learner(
+        learner=name, convolutions='4@4/2 8@3/1', dropout=0.3) for _ in range(2))
     weight = learner.online.convolutions[1].weight
     assert weight.is_contiguous(memory_format=torch.channels_last)
     for update in range(3):
@@ -165,6 +237,12 @@ def test_the_layout_is_the_fast_one_and_survives_a_restore():
             make_batch(seed=update), 1e-2)
     for name, tensor in learner.state_tensors().items():
         assert torch.equal(tensor, other.state_tensors()[name])
+
+
+def test_the_figures_are_those_that_were_announced():
+    for name in LEARNERS:
+        learner = make_learner(learner=name)
+        assert tuple(learner.update(make_batch(), 1e-3)) == learner.FIGURES
 
 
 def test_a_device_that_is_not_there_is_one_line():

@@ -19,10 +19,10 @@ def level(pixels):
     return int(pixels[..., 0, 0]) + 256 * int(pixels[..., 0, 1])
 
 
-def fill(buffer, stretches):
-    """Fill with stretches (length, how it ends); return what each observation led to."""
+def fill(buffer, segments):
+    """Fill with segments (length, how it ends); return what each observation led to."""
     truth, number = {}, 0
-    for length, end in stretches:
+    for length, end in segments:
         first = number
         buffer.start(observation(number))
         for step in range(length):
@@ -53,17 +53,17 @@ def expected(truth, start, n_steps):
 
 @settings(max_examples=60, deadline=None)
 @given(
-    stretches=strategies.lists(strategies.tuples(
+    segments=strategies.lists(strategies.tuples(
         strategies.integers(1, 9), strategies.sampled_from(['terminated', 'truncated', 'broken'])),
         min_size=1, max_size=12),
     capacity=strategies.integers(8, 60), frame_stack=strategies.integers(1, 4),
     n_steps=strategies.integers(1, 4))
-def test_no_sample_crosses_a_boundary(stretches, capacity, frame_stack, n_steps):
+def test_no_sample_crosses_a_boundary(segments, capacity, frame_stack, n_steps):
     buffer = ReplayBuffer(
         capacity, (1, 2), frame_stack=frame_stack, n_steps=n_steps, gamma=GAMMA)
-    truth = fill(buffer, stretches)
+    truth = fill(buffer, segments)
     held = len(buffer)
-    assert held == min(sum(length + 1 for length, _ in stretches), capacity)
+    assert held == min(sum(length + 1 for length, _ in segments), capacity)
     try:
         batch = buffer.sample(64, np.random.default_rng(0))
     except ValueError:
@@ -114,7 +114,7 @@ def test_an_empty_buffer_says_so():
         buffer.sample(1, np.random.default_rng(0))
 
 
-def test_a_lone_transition_among_broken_stretches_is_found():
+def test_a_lone_transition_among_broken_segments_is_found():
     buffer = ReplayBuffer(5000, (1, 2))
     for _ in range(4000):
         buffer.start(observation(3))
@@ -134,7 +134,7 @@ def test_stacks_are_read_in_order_and_channels_last(stack):
 
 
 def test_flips_mirror_observations_and_actions_together():
-    buffer = ReplayBuffer(100, (1, 2), mirrored=(0, 2, 1))
+    buffer = ReplayBuffer(100, (1, 2), mirror=np.array([0, 2, 1], np.uint8).__getitem__)
     buffer.start(np.array([[10, 20]], np.uint8))
     buffer.add(1, 1.0, np.array([[30, 40]], np.uint8), terminated=False)
     batch = buffer.sample(200, np.random.default_rng(0))

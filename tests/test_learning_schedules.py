@@ -1,18 +1,16 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
-"""Epsilon, learning rate, limiter, shaping and presets, with numbers worked out by hand."""
+"""Epsilon, learning rate, limiter and presets, with numbers worked out by hand."""
 import dataclasses
-import math
 
 from dqn_policy_node.errors import ModelError
-from learning_cases import make_step, tiny
+from learning_cases import tiny
 from msgs_bridge.errors import SettingsError
 from msgs_bridge.settings import describe
 import pytest
 from trainer_node.hyperparameters import Hyperparameters, load_preset, to_yaml
 from trainer_node.limiter import ReplayRatioLimiter
 from trainer_node.schedules import epsilon, LearningRate
-from trainer_node.shaping import shaped_reward, shaping_terms, standing_points
 import yaml
 
 
@@ -62,76 +60,71 @@ def test_a_linear_learning_rate_holds_and_then_falls():
 
 def test_the_limiter_counts_from_when_learning_starts():
     limiter = ReplayRatioLimiter(8.0, 32, 10)
-    updates = []
-    for _ in range(30):
-        limiter.insert()
-        while limiter.due():
-            limiter.sampled()
-        updates.append(limiter.updates)
-    assert updates[9:15] == [0, 0, 0, 0, 1, 1]
-    assert updates[-1] == 5
+    assert updates_of(limiter, 30) == [0] * 10 + [0, 0, 0, 1] * 5
     assert limiter.ratio == 8.0
 
 
+def after_resume(limiter, **changes):
+    values = {'samples_per_transition': limiter.samples_per_transition,
+              'batch_size': limiter.batch_size, 'learning_starts': limiter.learning_starts}
+    later = ReplayRatioLimiter(**{**values, **changes})
+    later.restore(limiter.state())
+    return later
+
+
+def updates_of(limiter, transitions):
+    """Return how many updates are due after each of some transitions."""
+    made = []
+    for _ in range(transitions):
+        limiter.insert()
+        made.append(0)
+        while limiter.due():
+            limiter.sampled()
+            made[-1] += 1
+    return made
+
+
+@pytest.mark.parametrize('changes, expected', [
+    ({}, [0, 0, 0, 1] * 4),
+    ({'samples_per_transition': 16.0}, [0, 1] * 8),
+    ({'samples_per_transition': 4.0}, ([0] * 7 + [1]) * 2),
+    ({'batch_size': 64}, ([0] * 7 + [1]) * 2),
+    ({'batch_size': 8}, [1] * 16),
+    ({'learning_starts': 400_008}, [0] * 11 + [1, 0, 0, 0, 1]),
+    ({'learning_starts': 10}, [0, 0, 0, 1] * 4),
+])
+def test_a_resumed_limiter_has_no_burst_and_no_drought(changes, expected):
+    limiter = ReplayRatioLimiter(8.0, 32, 2000)
+    limiter.transitions, limiter.counted, limiter.samples = 400_000, 398_000, 398_000 * 8
+    assert updates_of(after_resume(limiter, **changes), 16) == expected
+
+
+def test_credit_for_a_larger_batch_is_worth_one_update():
+    limiter = ReplayRatioLimiter(1.0, 4096, 1)
+    updates_of(limiter, 4000)
+    assert sum(updates_of(after_resume(limiter, batch_size=1), 3)) == 4
+
+
+@pytest.mark.parametrize('schedule', ['constant', 'plateau', 'linear'])
+def test_another_learning_rate_is_the_one_that_a_resumed_run_uses(schedule):
+    own = tiny(learning_rate=1e-3, learning_rate_schedule=schedule, patience_episodes=2)
+    rate = LearningRate(own)
+    for reward in (5.0, 1.0, 1.0, 1.0):
+        rate.episode_ended(reward)
+    rate.progressed(0.25)
+    for changes, expected in (
+        ({}, rate.value), ({'learning_rate': 1e-5}, 1e-5 if schedule != 'linear' else 7.75e-6),
+        ({'learning_rate_end': 9e-4}, 9.75e-4 if schedule == 'linear' else max(rate.value, 9e-4)),
+    ):
+        later = LearningRate(dataclasses.replace(own, **changes))
+        later.restore(rate.state())
+        later.progressed(0.25)
+        assert later.value == pytest.approx(expected), changes
+        assert later.best_reward == 5.0
+
+
 def test_a_high_ratio_gives_several_updates_for_one_transition():
-    limiter = ReplayRatioLimiter(24.0, 8, 0)
-    limiter.insert()
-    made = 0
-    while limiter.due():
-        limiter.sampled()
-        made += 1
-    assert made == 3
-
-
-def test_without_weights_the_reward_is_the_environments_own():
-    after = make_step(reward=3.25, tiles_missed=4, wheels_off_road=1, standing_still=90,
-                      speed=50, lap_finished=1, ended_early=1, left_field=1)
-    assert shaped_reward(tiny(), after, make_step()) == 3.25
-
-
-def test_each_term_by_hand():
-    own = tiny(tile_missed_penalty=10, off_road_penalty=0.1, progress_weight=30, speed_weight=0.5,
-               time_penalty=0.2, finish_bonus=20, left_field_refund=90, early_end_penalty=7,
-               position_weight=60)
-    after = make_step(tiles_missed=5, lap_position=15, tiles_visited=12, wheels_off_road=0.5,
-                      speed=40, lap_finished=1, left_field=1, ended_early=1, frames=3, reward=1)
-    before = make_step(tiles_missed=3, tiles_visited=10, lap_position=20)
-    terms = shaping_terms(own, after, before)
-    assert terms == pytest.approx({
-        'tile_missed': -20, 'off_road': -0.15, 'standing': 0, 'progress': 0.2, 'position': -1.0,
-        'speed': 0.6,
-        'time': -0.6, 'finish': 20, 'left_field': 90, 'early_end': -7})
-    scaled = dataclasses.replace(own, reward_scale=0.1)
-    assert shaped_reward(scaled, after, before) == (
-        pytest.approx(0.1 * (1 + sum(terms.values()))))
-
-
-def test_who_comes_round_is_paid_whatever_was_missed_and_not_fined_for_the_end():
-    came = make_step(ended_early=1, came_round=1)
-    terms = shaping_terms(tiny(finish_bonus=20, early_end_penalty=7), came, make_step())
-    assert (terms['finish'], terms['early_end']) == (20, 0)
-
-
-def test_the_penalty_of_one_decision_for_missed_tiles_has_a_limit():
-    own = tiny(tile_missed_penalty=10, tile_missed_limit=25)
-    for missed, points in ((1, -10), (2, -20), (3, -25), (40, -25)):
-        assert shaping_terms(
-            own, make_step(tiles_missed=missed), make_step())['tile_missed'] == points
-
-
-def test_a_missed_tile_that_is_fetched_gives_its_points_back():
-    own = tiny(tile_missed_penalty=10)
-    back = shaping_terms(own, make_step(tiles_missed=1), make_step(tiles_missed=2))
-    assert back['tile_missed'] == 10
-
-
-def test_standing_still_costs_exponentially_more_up_to_a_limit():
-    own = tiny(standing_penalty=0.5, standing_growth=2.0, standing_limit=10.0)
-    assert standing_points(own, 0, 4) == 0
-    assert standing_points(own, 3, 4) == pytest.approx(0.5 + 1 + 2)
-    assert standing_points(own, 4, 2) == pytest.approx(2 + 4)
-    assert standing_points(own, 100000, 4) == pytest.approx(40)
-    assert math.isfinite(standing_points(tiny(standing_penalty=1e-9), 10**6, 4))
+    assert updates_of(ReplayRatioLimiter(24.0, 8, 1), 2) == [0, 3]
 
 
 def test_the_defaults_are_the_report():
@@ -151,7 +144,7 @@ def test_the_report_preset_names_every_number_that_it_could_change():
     from msgs_bridge.share import share_path
     values = yaml.safe_load(share_path('config/report.yaml').read_text())
     unused = {'learning_rate_hold', 'epsilon_decisions', 'standing_growth', 'standing_limit',
-              'tile_missed_limit', 'early_end_terminal'}
+              'tile_missed_limit', 'early_end_terminal', 'quantiles'}
     assert set(describe(Hyperparameters)) - set(values) == unused
 
 

@@ -1,15 +1,12 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
-"""A whole run on a stream of made-up transitions: determinism, resume, files, trouble."""
-import csv
+"""A whole run on a stream of made-up transitions: determinism, resume, rows, limits."""
 import dataclasses
-import errno
 import json
 
 from dqn_policy_node.model_folder import load_model
 from dqn_policy_node.weights_message import decode_weights
-from learning_cases import make_step, stream, tiny
-from msgs_bridge import atomic_write
+from learning_cases import Clock, create, drive, make_step, rows, stream, tiny
 from msgs_bridge.errors import MessageError
 from msgs_bridge.twists import Command
 import numpy as np
@@ -27,47 +24,9 @@ RICH = {
 }
 
 
-class Clock:
-    """Seconds that go forward by one with every look."""
-
-    def __init__(self):
-        self.seconds = 0.0
-
-    def __call__(self):
-        self.seconds += 1.0
-        return self.seconds
-
-
-def drive(training, transitions, log=None):
-    """Do what the node does with each transition."""
-    for transition in transitions:
-        training.add(transition)
-        if training.weights_due():
-            data = training.weights_message()
-            if log is not None:
-                log.append(data)
-            update = decode_weights(data, training.description)
-            if update.validate:
-                training.record_validation(validation(update.version))
-
-
-def validation(version, **changes):
-    return {'version': version, 'episodes': 5, 'mean': 10.0 * version, 'std': 1.0, 'minimum': 0,
-            'maximum': 20, 'completed': 0.2, 'seconds': 3, **changes}
-
-
-def rows(path):
-    with open(path, newline='') as file:
-        return list(csv.DictReader(file))
-
-
 def without_clock(path):
     return [{k: v for k, v in row.items() if k not in ('wall_seconds', 'updates_per_second')}
             for row in rows(path)]
-
-
-def create(folder, **changes):
-    return Training.create(tiny(**changes), folder, device='cpu', clock=Clock())
 
 
 def test_the_same_stream_gives_the_same_weights(tmp_path):
@@ -81,24 +40,26 @@ def test_the_same_stream_gives_the_same_weights(tmp_path):
         tmp_path / 'b' / 'episodes.csv')
 
 
-@pytest.mark.parametrize('stop', [5, 21, 140])
-def test_an_interrupted_run_goes_on_as_if_nothing_had_happened(tmp_path, stop, monkeypatch):
+@pytest.mark.parametrize('stop, changes', [
+    (5, {}), (21, {}), (140, {}), (140, {'learner': 'qr_dqn', 'quantiles': 8})])
+def test_an_interrupted_run_goes_on_as_if_nothing_had_happened(
+        tmp_path, stop, changes, monkeypatch):
     # so that the observations of this short run fill blocks, too
     monkeypatch.setattr(observation_blocks, 'BLOCK', 16)
     transitions = list(stream(230))
     whole, parts = [], []
-    training = create(tmp_path / 'whole', **RICH)
+    training = create(tmp_path / 'whole', **RICH, **changes)
     drive(training, transitions, whole)
     training.finish()
 
-    training = create(tmp_path / 'parts', **RICH)
+    training = create(tmp_path / 'parts', **RICH, **changes)
     drive(training, transitions[:stop], parts)
     training.save()
     # what happens after the checkpoint is lost, and its rows with it
     lost = transitions[stop:stop + 40]
     drive(training, lost)
     # a checkpoint that was cut off may leave blocks of what is lost behind
-    training._blocks.write(training.buffer)
+    training._checkpoint._blocks.write(training.learning.replay)
     torch.manual_seed(99)
     training = Training.resume(tmp_path / 'parts', device='cpu', clock=Clock())
     drive(training, transitions[stop:], parts)
@@ -110,8 +71,8 @@ def test_an_interrupted_run_goes_on_as_if_nothing_had_happened(tmp_path, stop, m
     assert first[0].keys() == second[0].keys()
     for name, array in first[0].items():
         assert np.array_equal(array, second[0][name]), name
-    for name in ('random', 'learner_random', 'limiter', 'returns', 'learning_rate', 'written'):
-        assert first[1][name] == second[1][name]
+    assert first[1]['learning'] == second[1]['learning']
+    assert first[1]['blocks'] == second[1]['blocks']
     for name in ('episodes.csv', 'validation.csv', 'updates.csv'):
         assert without_clock(tmp_path / 'whole' / name) == without_clock(
             tmp_path / 'parts' / name)
@@ -138,46 +99,12 @@ def test_rows_have_the_columns_of_the_report_and_more(tmp_path):
 
 
 def test_updates_are_written_every_so_often(tmp_path, monkeypatch):
-    monkeypatch.setattr('trainer_node.training.UPDATES_PER_ROW', 10)
+    monkeypatch.setattr('trainer_node.run_record.UPDATES_PER_ROW', 10)
     training = create(tmp_path / 'run')
     drive(training, stream(60))
     found = rows(tmp_path / 'run' / 'updates.csv')
     assert [row['updates'] for row in found] == ['10', '20', '30', '40']
     assert all(float(row['loss']) > 0 for row in found)
-
-
-def test_the_best_model_is_the_best_validated_one(tmp_path):
-    training = create(tmp_path / 'run', validation_every_episodes=0)
-    messages = {}
-    for count, mean in ((1, 5.0), (2, 9.0), (3, 7.0)):
-        messages[count] = decode_weights(training.weights_message(validate=True))
-        drive(training, stream(40, seed=count))
-        kept = training.record_validation(validation(messages[count].version, mean=mean))
-        assert kept is (count != 3)
-    model = load_model(tmp_path / 'run' / 'best')
-    assert model.version == messages[2].version
-    assert all(
-        torch.equal(tensor, messages[2].tensors[name]) for name, tensor in model.tensors.items())
-    assert model.training['best_validation']['mean'] == 9.0
-
-
-def test_results_that_nobody_asked_for_are_left_out(tmp_path):
-    training = create(tmp_path / 'run')
-    training.weights_message()
-    assert training.record_validation(validation(1)) is False
-    assert rows(tmp_path / 'run' / 'validation.csv') == []
-    with pytest.raises(MessageError, match="validation lacks 'episodes'"):
-        training.record_validation({'version': 1})
-    with pytest.raises(MessageError, match='not finite'):
-        training.record_validation(validation(1, mean=float('nan')))
-
-
-def test_a_spread_weight_prefers_the_steady_model(tmp_path):
-    training = create(tmp_path / 'run', validation_spread_weight=0.5)
-    for mean, std, kept in ((100.0, 60.0, True), (90.0, 10.0, True), (110.0, 80.0, False)):
-        training.weights_message(validate=True)
-        assert training.record_validation(
-            validation(training.version, mean=mean, std=std)) is kept
 
 
 def test_validations_are_due_by_decisions_and_by_the_clock(tmp_path):
@@ -189,7 +116,7 @@ def test_validations_are_due_by_decisions_and_by_the_clock(tmp_path):
         for transition in stream(80):
             training.add(transition)
             if training.weights_due():
-                update = decode_weights(training.weights_message())
+                update = decode_weights(training.next_weights())
                 if update.validate:
                     asked.append(training.decisions)
         assert asked
@@ -197,15 +124,15 @@ def test_validations_are_due_by_decisions_and_by_the_clock(tmp_path):
             assert asked == [25, 50, 75]
 
 
-def test_a_stamp_that_does_not_follow_starts_a_new_stretch(tmp_path):
+def test_a_stamp_that_does_not_follow_starts_a_new_segment(tmp_path):
     training = create(tmp_path / 'run')
     transitions = list(stream(12))
     del transitions[5]
     for transition in transitions:
         training.add(transition)
-    # 11 transitions in two stretches: an observation more than transitions for each
-    assert len(training.buffer) == 13
-    assert training.buffer.transitions == 11
+    # 11 transitions in two segments: an observation more than transitions for each
+    assert len(training.learning.replay) == 13
+    assert training.learning.replay.transitions == 11
 
 
 def test_an_action_that_is_none_of_ours_is_left_out(tmp_path):
@@ -219,8 +146,8 @@ def test_an_action_that_is_none_of_ours_is_left_out(tmp_path):
         else:
             training.add(transition)
     assert training.status()['foreign_actions'] == 1
-    assert training.buffer.transitions == 7
-    assert len(training.buffer) == 9
+    assert training.learning.replay.transitions == 7
+    assert len(training.learning.replay) == 9
 
 
 def test_ends_are_kept_apart(tmp_path):
@@ -229,11 +156,11 @@ def test_ends_are_kept_apart(tmp_path):
         first = next(iter(stream(1)))
         step = make_step(truncated=1.0, ended_early=1.0)
         training.add(dataclasses.replace(first, step=step))
-        batch = training.buffer.sample(4, np.random.default_rng(0))
+        batch = training.learning.replay.sample(4, np.random.default_rng(0))
         assert batch.discounts[0] == pytest.approx(0.0 if terminal else 0.99)
     training = create(tmp_path / 'run3')
     training.add(dataclasses.replace(first, step=make_step(terminated=1.0)))
-    assert training.buffer.sample(1, np.random.default_rng(0)).discounts[0] == 0.0
+    assert training.learning.replay.sample(1, np.random.default_rng(0)).discounts[0] == 0.0
 
 
 def test_a_run_ends_at_its_nearest_limit(tmp_path):
@@ -257,49 +184,7 @@ def test_status_has_the_figures_of_the_moment(tmp_path):
     assert all(isinstance(value, (int, float)) for value in status.values())
 
 
-def test_a_full_disk_keeps_the_checkpoint_before(tmp_path, monkeypatch):
-    training = create(tmp_path / 'run')
-    drive(training, stream(30))
-    training.save()
-    before = training.folder.checkpoint.read_bytes()
-    drive(training, stream(30, seed=1))
-
-    def full(handle):
-        raise OSError(errno.ENOSPC, 'No space left on device')
-    monkeypatch.setattr(atomic_write.os, 'fsync', full)
-    with pytest.raises(OSError, match='No space left'):
-        training.save()
-    monkeypatch.undo()
-    assert training.folder.checkpoint.read_bytes() == before
-    assert [path.name for path in training.folder.checkpoint.parent.iterdir()] == [
-        'checkpoint.safetensors']
-    assert Training.resume(tmp_path / 'run', device='cpu').decisions == 30
-
-
-@pytest.mark.parametrize('how', ['cut', 'empty', 'other', 'missing'])
-def test_a_damaged_block_of_observations_is_named(tmp_path, how, monkeypatch):
-    monkeypatch.setattr(observation_blocks, 'BLOCK', 16)
-    training = create(tmp_path / 'run')
-    drive(training, stream(60))
-    training.save()
-    block = sorted(training.folder.checkpoint.parent.glob('observations-*'))[1]
-    block.unlink() if how == 'missing' else damage(block, how)
-    with pytest.raises(RunError, match=f'{block.name}: damaged checkpoint'):
-        Training.resume(tmp_path / 'run', device='cpu')
-
-
-def test_blocks_that_no_checkpoint_needs_are_removed(tmp_path, monkeypatch):
-    monkeypatch.setattr(observation_blocks, 'BLOCK', 16)
-    training = create(tmp_path / 'run')
-    for seed in range(6):
-        drive(training, stream(60, seed=seed))
-        training.save()
-    blocks = list(training.folder.checkpoint.parent.glob('observations-*'))
-    assert training.buffer.oldest > 100
-    assert len(blocks) <= training.settings.replay_capacity // 16 + 1
-
-
-def test_another_network_is_refused_with_what_differs(tmp_path):
+def test_what_cannot_change_in_a_run_is_refused_with_what_differs(tmp_path):
     training = create(tmp_path / 'run')
     drive(training, stream(30))
     training.save()
@@ -308,27 +193,65 @@ def test_another_network_is_refused_with_what_differs(tmp_path):
         ({'action_space': 'grid9'}, 'action_space'),
         ({'replay_capacity': 300}, 'replay_capacity is 300, not 200'),
         ({'weight_average': 0.9}, 'weight_average is 0.9, not 0.0'),
+        ({'learner': 'qr_dqn'}, 'learner is qr_dqn, not dqn'),
+        # rewards that are made otherwise must not be mixed with those in the replay buffer
+        ({'reward_scale': 0.5}, 'reward_scale is 0.5, not 1.0'),
+        ({'finish_bonus': 25.0}, 'finish_bonus is 25.0, not 0.0'),
+        ({'standing_growth': 1.1}, 'standing_growth is 1.1, not 1.02'),
+        ({'early_end_terminal': True}, 'early_end_terminal is True, not False'),
     ):
-        with pytest.raises(RunError, match=text):
+        with pytest.raises(RunError, match=text) as caught:
             Training.resume(tmp_path / 'run', tiny(**changes), device='cpu')
+        assert '\n' not in str(caught.value)
     later = Training.resume(tmp_path / 'run', tiny(gamma=0.9), device='cpu')
     assert later.settings.gamma == 0.9
     assert yaml.safe_load((tmp_path / 'run' / 'config.yaml').read_text())['gamma'] == 0.9
 
 
-def damage(path, how):
-    data = path.read_bytes()
-    path.write_bytes({'cut': data[:len(data) // 2], 'empty': b'', 'other': b'\0' * 500}[how])
-
-
-@pytest.mark.parametrize('how', ['cut', 'empty', 'other'])
-def test_a_damaged_checkpoint_is_named_in_one_line(tmp_path, how):
-    training = create(tmp_path / 'run')
+@pytest.mark.parametrize('schedule', ['constant', 'plateau', 'linear'])
+def test_another_learning_rate_is_learned_with_from_then_on(tmp_path, schedule):
+    own = {'learning_rate_schedule': schedule, 'run_decisions': 10_000}
+    training = create(tmp_path / 'run', learning_rate=1e-3, **own)
+    drive(training, stream(60))
     training.save()
-    damage(training.folder.checkpoint, how)
-    with pytest.raises(RunError, match='checkpoint.safetensors: damaged') as caught:
-        Training.resume(tmp_path / 'run', device='cpu')
-    assert '\n' not in str(caught.value)
+    later = Training.resume(
+        tmp_path / 'run', tiny(learning_rate=1e-5, **own), device='cpu')
+    drive(later, stream(60, seed=1))
+    assert later.learning.learning_rate == pytest.approx(1e-5, rel=0.02)
+    group, = later.learning.learner._optimizer.param_groups
+    assert group['lr'] == later.learning.learning_rate
+
+
+@pytest.mark.parametrize('changes, updates', [
+    ({'samples_per_transition': 16.0}, 40), ({'batch_size': 16}, 10), ({'batch_size': 4}, 40)])
+def test_another_ratio_counts_from_then_on(tmp_path, changes, updates):
+    training = create(tmp_path / 'run')
+    drive(training, stream(150))
+    training.save()
+    later = Training.resume(tmp_path / 'run', tiny(**changes), device='cpu')
+    made = [later.add(transition) for transition in stream(20, seed=1)]
+    assert sum(made) == updates
+    assert max(made) <= 2
+
+
+def test_the_epsilon_of_a_row_is_the_one_that_was_driven_with(tmp_path):
+    by_decisions = {'epsilon_schedule': 'decisions', 'epsilon_decisions': 100,
+                    'weights_every': 1000}
+    training = create(tmp_path / 'run', **by_decisions, validation_every_episodes=0)
+    drive(training, stream(26))
+    # the weights went out after the first transition and never again
+    assert [float(row['epsilon']) for row in rows(training.folder.episodes)] == (
+        pytest.approx([0.9901, 0.9901]))
+    training = create(tmp_path / 'by_episodes', weights_every=1000)
+    acting = []
+    for transition in stream(13 * 4):
+        if training.weights_due():
+            acting.append(decode_weights(training.next_weights()).epsilon)
+        training.add(transition)
+    # each episode was begun with its own
+    assert acting == pytest.approx(list(0.995 ** np.arange(4)))
+    assert [float(row['epsilon']) for row in rows(training.folder.episodes)] == (
+        pytest.approx(acting, rel=1e-5))
 
 
 def test_runs_that_are_not_there_or_in_the_way_are_named(tmp_path):
@@ -342,24 +265,35 @@ def test_runs_that_are_not_there_or_in_the_way_are_named(tmp_path):
         create(tmp_path / 'file' / 'run')
 
 
-def test_csv_files_that_were_cut_by_hand_are_noticed(tmp_path):
+def test_a_reward_that_is_not_finite_is_left_out(tmp_path):
     training = create(tmp_path / 'run')
-    drive(training, stream(30))
-    training.save()
-    (tmp_path / 'run' / 'episodes.csv').write_text('')
-    with pytest.raises(RunError, match='episodes.csv: .* bytes, but'):
-        Training.resume(tmp_path / 'run', device='cpu')
-
-
-def test_nan_stops_learning_and_the_state_can_still_be_saved(tmp_path):
-    training = create(tmp_path / 'run')
-    with pytest.raises(LearningError, match='update .*: the loss is nan'):
-        for index, transition in enumerate(stream(200)):
-            if index > 30:
-                step = dataclasses.replace(transition.step, reward=float('nan'))
-                transition = dataclasses.replace(transition, step=step)
+    for index, transition in enumerate(stream(60)):
+        if index == 30:
+            step = dataclasses.replace(transition.step, reward=float('nan'))
+            with pytest.raises(MessageError, match='reward is nan'):
+                training.add(dataclasses.replace(transition, step=step))
+        else:
             training.add(transition)
-    assert training.save().is_file()
+    assert training.status()['bad_steps'] == 1
+    assert training.learning.learner.updates > 30
+
+
+def test_learning_that_fails_keeps_the_checkpoint_of_before(tmp_path):
+    training = create(tmp_path / 'run')
+    transitions = list(stream(80))
+    drive(training, transitions[:40])
+    kept = training.save().read_bytes()
+    with torch.no_grad():
+        training.learning.learner.online.hidden.weight[0, 0] = float('nan')
+    with pytest.raises(LearningError, match='the loss is nan.*online weights .hidden.weight'):
+        drive(training, transitions[40:])
+    for end in (training.save, training.finish):
+        with pytest.raises(RunError, match='learning has failed, so the checkpoint before'):
+            end()
+    assert training.folder.checkpoint.read_bytes() == kept
+    later = Training.resume(tmp_path / 'run', device='cpu')
+    drive(later, transitions[40:])
+    assert later.decisions == 80
 
 
 def test_no_file_of_a_run_is_a_pickle(tmp_path):

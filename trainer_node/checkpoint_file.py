@@ -1,23 +1,25 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
-"""One safetensors file with everything of a run, written whole or not at all."""
+"""One safetensors file with everything of a run, written whole or not at all, and its checksum."""
 from __future__ import annotations
 
-from collections.abc import Iterator
-import contextlib
+import hashlib
 import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import safetensors
+import safetensors.numpy
 
-from msgs_bridge.atomic_write import atomic_file
+from msgs_bridge.atomic_write import write_bytes
+from msgs_bridge.regular_file import read_regular
 from trainer_node.errors import RunError
 
-FORMAT = 'carracing_dqn checkpoint 1'
-_NAMES = {'|b1': 'BOOL', '|u1': 'U8', '<i4': 'I32', '<i8': 'I64', '<f4': 'F32', '<f8': 'F64'}
-_ALIGNMENT = 8
+FORMAT = 'carracing_dqn checkpoint 2'
+MAX_BYTES = 4 * 2**30
+# stands where the checksum will be while the bytes are summed up
+_NO_SUM = b'0' * 64
 
 
 def write_checkpoint(
@@ -26,63 +28,48 @@ def write_checkpoint(
     """
     Write arrays and a JSON state; on any error the file that was there stays whole.
 
-    The arrays go to the disk as they lie in memory: a replay buffer of a gigabyte is not copied.
-
     Raises:
         OSError: the folder cannot be written or the disk is full.
     """
-    header: dict[str, Any] = {'__metadata__': {'format': FORMAT, 'state': json.dumps(state)}}
-    # wide types first, so that everything lies aligned
-    ordered = sorted(arrays.items(), key=lambda item: (-item[1].itemsize, item[0]))
-    offset = 0
-    for name, array in ordered:
-        header[name] = {'dtype': _NAMES[array.dtype.str], 'shape': list(array.shape),
-                        'data_offsets': [offset, offset + array.nbytes]}
-        offset += array.nbytes
-    text = json.dumps(header, separators=(',', ':')).encode()
-    text += b' ' * (-len(text) % _ALIGNMENT)
-    with atomic_file(path) as file:
-        file.write(len(text).to_bytes(8, 'little'))
-        file.write(text)
-        for _, array in ordered:
-            file.write(np.ascontiguousarray(array).reshape(-1).view(np.uint8).data)
-
-
-@contextlib.contextmanager
-def _opened(path: Path | str) -> Iterator[tuple[Any, dict[str, Any]]]:
-    """Open a checkpoint and hand on file and state; whatever is wrong is a RunError."""
-    path = Path(path)
-    if not path.is_file():
-        raise RunError(f'{path}: no such checkpoint')
-    try:
-        with safetensors.safe_open(path, 'np') as file:
-            metadata = file.metadata() or {}
-            if metadata.get('format') != FORMAT:
-                raise RunError(f'{path}: damaged, or not a {FORMAT}')
-            yield file, json.loads(metadata['state'])
-    except (safetensors.SafetensorError, ValueError, KeyError, OSError) as error:
-        if isinstance(error, RunError):
-            raise
-        raise RunError(f'{path}: damaged checkpoint: {error}') from None
+    record = json.dumps({'format': FORMAT, 'sha256': _NO_SUM.decode(), 'state': state})
+    # one entry, because safetensors writes several in no fixed order
+    data = safetensors.numpy.save(
+        {name: np.asarray(array, order='C') for name, array in arrays.items()},
+        {'checkpoint': record})
+    place = data.index(_NO_SUM)
+    digest = hashlib.sha256(data).hexdigest().encode()
+    write_bytes(path, data[:place] + digest + data[place + len(digest):])
 
 
 def read_checkpoint(path: Path | str) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """
-    Read what `write_checkpoint` wrote.
+    Read what `write_checkpoint` wrote; every byte of it is checked.
 
     Raises:
-        RunError: the file is missing, cut off or no checkpoint.
+        RunError: the file is missing, damaged or no checkpoint of this format.
     """
-    with _opened(path) as (file, state):
-        return {name: file.get_tensor(name) for name in file.keys()}, state  # noqa: SIM118
-
-
-def read_state(path: Path | str) -> dict[str, Any]:
-    """
-    Return only the JSON state of a checkpoint; the arrays are not read.
-
-    Raises:
-        RunError: the file is missing, cut off or no checkpoint.
-    """
-    with _opened(path) as (_, state):
-        return state
+    path = Path(path)
+    if not path.exists():
+        raise RunError(f'{path}: no such checkpoint')
+    data = read_regular(path, MAX_BYTES, RunError)
+    try:
+        header_size = 8 + int.from_bytes(data[:8], 'little')
+        header = json.loads(data[8:header_size])
+        record = json.loads(header['__metadata__']['checkpoint'])
+        digest, state = record['sha256'], record['state']
+        if record['format'] != FORMAT:
+            raise RunError(f'{path}: not a {FORMAT}')
+        place = data.index(digest.encode(), 8, header_size)
+    except RunError:
+        raise
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        raise RunError(f'{path}: damaged, or not a {FORMAT}') from None
+    summed = hashlib.sha256(data[:place])
+    summed.update(_NO_SUM)
+    summed.update(memoryview(data)[place + len(_NO_SUM):])
+    if summed.hexdigest() != digest:
+        raise RunError(f'{path}: damaged checkpoint: its checksum does not match its bytes')
+    try:
+        return safetensors.numpy.load(data), state
+    except (safetensors.SafetensorError, ValueError, KeyError, TypeError) as error:
+        raise RunError(f'{path}: damaged checkpoint: {error}') from None

@@ -9,6 +9,7 @@ trick comes from one. Presets are YAML files of these names.
 from __future__ import annotations
 
 import dataclasses
+import math
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +20,11 @@ from dqn_policy_node.model_description import (
     GRAYS, MAX_FRAME_SIDE, ModelDescription, Network, parse_convolutions, Preprocessing, ROADS,
 )
 from msgs_bridge.errors import SettingsError
+from msgs_bridge.seeds import is_validation, TRAINING, training_seed, VALIDATION
 from msgs_bridge.settings import from_mapping, setting
 from msgs_bridge.share import share_path
+from trainer_node.learner import LEARNERS
+from trainer_node.losses import LOSSES
 
 MAX_PRESET_BYTES = 2**20
 
@@ -77,6 +81,9 @@ class Hyperparameters:
     # What it learns from. ----------------------------------------------------------------------
     seed: int = setting(42, 'seed of training tracks, weights and samples (3.1)',
                         low=0, high=2**31 - 1)
+    seed_each_episode: bool = setting(
+        False, 'every training episode has a seed of its own, out of the space of training '
+        '(msgs_bridge/seeds.py); without it they are the stream of one seed (3.1)')
     early_end_frames: int = setting(
         0, 'simulator frames without a new tile that end a training episode; 0 = never',
         low=0, high=100000)
@@ -94,13 +101,19 @@ class Hyperparameters:
         False, 'mirror half of the samples left to right (AMD-RIPS 2018)')
 
     # How it learns. ----------------------------------------------------------------------------
+    learner: str = setting(
+        'dqn', 'the algorithm: DQN (2.2.1) or quantile regression DQN (arXiv 1710.10044)',
+        choices=tuple(LEARNERS))
+    quantiles: int = setting(
+        50, 'quantiles of the return of each action, for a learner that learns them; 200 in the '
+        'paper', low=2, high=1024)
     gamma: float = setting(
         0.99, 'discount for each decision (2.2.1)', low=0.0, high=1.0)
     n_steps: int = setting(
         1, 'rewards added up before bootstrapping (arXiv 1710.02298)', low=1, high=50)
     double: bool = setting(
         False, 'the online network chooses, the target network judges (arXiv 1509.06461)')
-    loss: str = setting('l1', 'loss of the TD error (2.2.1)', choices=('l1', 'huber'))
+    loss: str = setting('l1', 'loss of the TD error (2.2.1)', choices=tuple(LOSSES))
     gradient_clip: float = setting(
         10.0, 'largest norm of the gradient; the report clips at an unnamed value (2.2.1)',
         low=0.001, high=1e6)
@@ -226,6 +239,12 @@ class Hyperparameters:
         if self.learning_rate_end > self.learning_rate:
             raise SettingsError(f'learning_rate_end {self.learning_rate_end} is above '
                                 f'learning_rate {self.learning_rate}')
+        if self.seed_each_episode and not is_validation(
+                self.validation_seed, self.validation_tracks):
+            raise SettingsError(
+                f'validation_seed {self.validation_seed} and the {self.validation_tracks} tracks '
+                f'from it on must lie from {VALIDATION} to {TRAINING - 1}, where nothing else '
+                'draws (msgs_bridge/seeds.py)')
         if self.learning_starts >= self.replay_capacity:
             raise SettingsError(f'learning_starts {self.learning_starts} must be below '
                                 f'replay_capacity {self.replay_capacity}')
@@ -235,14 +254,45 @@ class Hyperparameters:
     def simulator_parameters(self) -> dict[str, Any]:
         """Return the parameters of the simulator that training episodes are driven in."""
         return {
-            'action_repeat': self.action_repeat, 'seed': self.seed, 'seed_each_episode': True,
+            'action_repeat': self.action_repeat,
+            'seed': training_seed(self.seed) if self.seed_each_episode else self.seed,
+            'seed_each_episode': self.seed_each_episode,
             'early_end_frames': self.early_end_frames, 'early_end_lap': self.early_end_lap}
+
+    @property
+    def validation_seeds(self) -> range:
+        """Return the seeds of the validation tracks."""
+        return range(self.validation_seed, self.validation_seed + self.validation_tracks)
+
+    @property
+    def validates(self) -> bool:
+        """Return whether anything is ever validated."""
+        return bool(self.validation_every_episodes or self.validation_every_decisions
+                    or self.validation_every_minutes)
+
+    def for_recorded(self, transitions: int) -> Hyperparameters:
+        """
+        Return the settings of a run whose length is that of a recording instead of a time.
+
+        What goes by minutes of a run goes by its share of the transitions then, so that what is
+        learned is a function of the recording.
+
+        Args:
+            transitions: how many there are.
+        """
+        if not self.run_minutes or self.run_decisions:
+            return self
+        every = self.validation_every_minutes / self.run_minutes * transitions
+        return dataclasses.replace(
+            self, run_minutes=0.0, run_decisions=transitions, validation_every_minutes=0.0,
+            validation_every_decisions=self.validation_every_decisions or math.ceil(every))
 
     def model_description(self) -> ModelDescription:
         """Return the model that these settings make; raises ModelError if it cannot be."""
         return ModelDescription(
             network=Network(
-                parse_convolutions(self.convolutions), self.hidden, self.dueling, self.dropout),
+                parse_convolutions(self.convolutions), self.hidden, self.dueling, self.dropout,
+                self.quantiles if LEARNERS[self.learner].quantiles else 1),
             preprocessing=Preprocessing(
                 self.frame_height, self.frame_width, self.first_row,
                 self.rows or self.frame_height - self.first_row, self.first_column,

@@ -17,14 +17,13 @@ from __future__ import annotations
 
 from array import array
 from collections import deque
-import queue
 import sys
 import threading
 import time
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from msgs_bridge import topics
-from msgs_bridge.errors import BridgeError, MessageError
+from msgs_bridge.errors import BridgeError
 from msgs_bridge.images import image_to_array
 from msgs_bridge.named_values import read_named_values
 from msgs_bridge.node_shell import Finished, NodeShell, run_node
@@ -34,12 +33,9 @@ from msgs_bridge.transitions import Transition, TransitionJoiner
 from msgs_bridge.twists import read_command
 from std_msgs.msg import UInt8MultiArray
 from std_srvs.srv import SetBool, Trigger
-from trainer_node.open_run import read_overrides, run_settings
+from trainer_node.driver import Driver
+from trainer_node.open_run import open_training, read_overrides, run_settings
 from trainer_node.settings import TrainerSettings
-from trainer_node.training import Training
-
-# A snapshot for the diagnostics is taken by the learning thread, every so many transitions.
-STATUS_EVERY = 20
 
 # Messages of one topic that are taken before the next transition is learned from.
 TAKEN_AT_ONCE = 200
@@ -64,13 +60,15 @@ class TrainerNode(NodeShell):
         """Declare parameters, create or resume the run and start to learn."""
         super().__init__('trainer_node', TrainerSettings)
         settings = self.settings
-        self._training = self._open()
+        training = open_training(
+            settings.run, run_settings(
+                settings.run, settings.preset,
+                read_overrides(filter(None, settings.overrides.split(','))),
+                resume=settings.resume),
+            resume=settings.resume, device=settings.device, tensorboard=settings.tensorboard)
         self._joiner = TransitionJoiner()
-        self._requests: queue.SimpleQueue[object] = queue.SimpleQueue()
         self._waiting: deque[Transition] = deque()
-        self._status = self._training.status()
         self._failure: Exception | None = None
-        self._complete = False
         self._holding = False
         self._stopping = threading.Event()
         self._weights_publisher = self.publisher(topics.WEIGHTS)
@@ -84,41 +82,35 @@ class TrainerNode(NodeShell):
         self.create_service(Trigger, '~/evaluate', self._on_evaluate)
         self._hold = self.create_client(SetBool, f'{settings.simulator}/hold')
         self._learner_called = self.create_guard_condition(self._on_learner)
-        self._publish_weights()
+        logger = self.get_logger()
+        self._driver = Driver(
+            training, self._publish_weights, say=logger.info,
+            warn=lambda text: logger.warn(text, throttle_duration_sec=5.0),
+            last_validation_seconds=settings.last_validation_seconds)
         self._learning = threading.Thread(target=self._learn, name='learning')
         self._learning.start()
         self.get_logger().info(f'learning into {settings.run}')
 
-    def _open(self) -> Training:
-        settings = self.settings
-        overrides = read_overrides(filter(None, settings.overrides.split(',')))
-        hyperparameters = run_settings(
-            settings.run, settings.preset, overrides, resume=settings.resume)
-        options = {'device': settings.device, 'tensorboard': settings.tensorboard}
-        if settings.resume:
-            return Training.resume(settings.run, hyperparameters, **options)
-        return Training.create(hyperparameters, settings.run, **options)
-
     # --- ROS thread
 
     def _on_validation(self, message: object) -> None:
-        self._requests.put(read_named_values(message, VALIDATION_FIELDS))
+        self._driver.validated(read_named_values(message, VALIDATION_FIELDS))
 
     def _on_learner(self) -> None:
         """Answer the learning thread, which is complete or has failed."""
         if self._failure is not None:
             raise BridgeError(f'learning stopped: {self._failure}') from self._failure
-        if self._complete:
+        if self._driver.done:
             raise Finished
 
     def _on_save(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._requests.put('save')
+        self._driver.request_save()
         response.success = True
         response.message = f'saving into {self.settings.run}'
         return response
 
     def _on_evaluate(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._requests.put('validate')
+        self._driver.request_validation()
         response.success = True
         response.message = 'weights go out for validation; the result comes on validation'
         return response
@@ -177,73 +169,33 @@ class TrainerNode(NodeShell):
         self._learner_called.trigger()
 
     def _learn_until_stopped(self) -> None:
-        training = self._training
-        # version whose validation is waited for at the end of the run, and until when
-        last_version, give_up_at = None, 0.0
-        while self._waiting or not self._stopping.is_set():
-            if not self._stopping.is_set():
-                self._take_messages()
+        driver = self._driver
+        # on stop what waits is dropped: learning from it would take the time to save
+        while not self._stopping.is_set():
+            self._take_messages()
             if self._waiting:
-                self._add(self._waiting.popleft(), learning=last_version is None)
+                driver.add(self._waiting.popleft())
             else:
                 time.sleep(IDLE_SECONDS)
-            request = None if self._requests.empty() else self._requests.get()
-            if isinstance(request, dict):
-                self._take_validation(request)
-                if last_version is not None and request['version'] >= last_version:
-                    break
-            if request == 'save' or training.checkpoint_due():
-                self.get_logger().info(f'saved {training.save()}')
-            if request == 'validate' or training.weights_due():
-                self._publish_weights(validate=True if request == 'validate' else None)
-            if last_version is not None:
-                if time.monotonic() > give_up_at:
-                    self.get_logger().warn('no validation of the last weights came in time')
-                    break
-            elif training.complete:
-                if not self.settings.last_validation_seconds or self._stopping.is_set():
-                    break
-                last_version = self._publish_weights(validate=True)
-                give_up_at = time.monotonic() + self.settings.last_validation_seconds
-        self._complete = training.complete
+            if not driver.turn():
+                break
 
-    def _add(self, transition: Transition, *, learning: bool) -> None:
-        """Learn from a transition; at the end of the run only the validation is waited for."""
-        if not learning:
-            return
-        try:
-            self._training.add(transition)
-        except MessageError as error:
-            self.get_logger().warn(f'left out: {error}', throttle_duration_sec=5.0)
-        if self._training.decisions % STATUS_EVERY == 0:
-            self._status = self._training.status()
-
-    def _take_validation(self, values: dict[str, float]) -> None:
-        try:
-            better = self._training.record_validation(values)
-        except MessageError as error:
-            self.get_logger().warn(f'left out: {error}')
-            return
-        if better:
-            self.get_logger().info(
-                f'version {values["version"]:.0f} is the best so far: {values["mean"]:.1f}')
-
-    def _publish_weights(self, *, validate: bool | None = None) -> int:
-        """Send the acting weights; return their version."""
-        data = self._training.weights_message(validate=validate)
+    def _publish_weights(self, data: bytes) -> None:
+        """Send the next version of the weights."""
         if self.context.ok():
             message = UInt8MultiArray()
             # array('B') is copied at once; a list would be copied byte by byte
             message.data = array('B', data)
             self._weights_publisher.publish(message)
-        return self._training.version
 
     # --- both
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
         """Return the state of learning and of the joiner."""
-        values = {**self._status, 'waiting': len(self._waiting), 'holding': self._holding}
-        values.update({f'transitions_{name}': n for name, n in self._joiner.counts.items() if n})
+        values = {**self._driver.status, 'waiting': len(self._waiting), 'holding': self._holding}
+        # a copy, because the learning thread may add a name
+        counts = dict(self._joiner.counts)
+        values.update({f'transitions_{name}': count for name, count in counts.items() if count})
         if self._failure is not None:
             return DiagnosticStatus.ERROR, f'failed: {self._failure}', values
         return DiagnosticStatus.OK, 'learning', values
@@ -252,10 +204,13 @@ class TrainerNode(NodeShell):
         """Finish the update under way, then save everything or say that it could not be."""
         self._stopping.set()
         self._learning.join()
+        training = self._driver.training
+        if training.failed:
+            sys.stderr.write(f'kept {training.folder.checkpoint}, of before learning failed\n')
+            return
         try:
-            saved = self._training.finish() if self._complete else self._training.save()
-            sys.stderr.write(f'saved {saved}\n')
-        except (OSError, BridgeError) as error:
+            sys.stderr.write(f'saved {self._driver.close()}\n')
+        except BridgeError as error:
             sys.stderr.write(f'error: the run could NOT be saved: {error}\n')
 
 

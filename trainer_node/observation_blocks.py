@@ -10,35 +10,47 @@ only an older checkpoint needs are removed after the new one is in place.
 """
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 import re
+from typing import TYPE_CHECKING
 
 import numpy as np
 import safetensors
-from safetensors.numpy import save
+from safetensors.numpy import load, save
 
 from msgs_bridge.atomic_write import write_bytes
+from msgs_bridge.regular_file import read_regular
 from trainer_node.errors import RunError
-from trainer_node.replay_buffer import ReplayBuffer
+
+if TYPE_CHECKING:
+    from trainer_node.replay_buffer import ReplayBuffer
 
 BLOCK = 4096
 """Slots in a file; with 48x48 observations 9 MB, some ten seconds of driving."""
+MAX_BYTES = 2**30
 
 _NAME = re.compile(r'observations-(\d{9})\.safetensors')
 
 
 class ObservationBlocks:
-    """The block files of one run."""
+    """
+    The block files of one run.
+
+    Attributes:
+        checksums: SHA-256 of each block file that the next checkpoint needs, by its number.
+    """
 
     def __init__(self, folder: Path) -> None:
         """Keep blocks in a folder that exists."""
         self.folder = folder
+        self.checksums: dict[int, str] = {}
 
     def path(self, block: int) -> Path:
         """Return the file of a block, which holds slots block * BLOCK and on."""
         return self.folder / f'observations-{block:09d}.safetensors'
 
-    def write(self, buffer: ReplayBuffer) -> np.ndarray:
+    def write(self, replay: ReplayBuffer) -> np.ndarray:
         """
         Write the full blocks that are not on the disk yet.
 
@@ -48,48 +60,65 @@ class ObservationBlocks:
         Raises:
             OSError: the disk is full or the folder cannot be written.
         """
-        full = buffer.written // BLOCK
-        for block in range(buffer.oldest // BLOCK, full):
-            if not self.path(block).exists():
-                observations = buffer.observations(block * BLOCK, (block + 1) * BLOCK)
-                write_bytes(self.path(block), save({'observations': observations}))
-        return buffer.observations(max(full * BLOCK, buffer.oldest), buffer.written)
+        full = replay.written // BLOCK
+        for block in _needed(replay):
+            if block not in self.checksums:
+                data = save({'observations': replay.observations(
+                    block * BLOCK, (block + 1) * BLOCK)})
+                write_bytes(self.path(block), data)
+                self.checksums[block] = hashlib.sha256(data).hexdigest()
+        self.checksums = {block: self.checksums[block] for block in _needed(replay)}
+        return replay.observations(max(full * BLOCK, replay.oldest), replay.written)
 
-    def remove_unneeded(self, buffer: ReplayBuffer) -> None:
+    def remove_unneeded(self, replay: ReplayBuffer) -> None:
         """
         Remove the blocks that are not of this buffer.
 
         They lie before its oldest observation, or after its last full block: those were written
         for a checkpoint that was never finished, and what comes next is something else.
         """
-        needed = range(buffer.oldest // BLOCK, buffer.written // BLOCK)
+        needed = _needed(replay)
         for path in self.folder.glob('observations-*.safetensors'):
             found = _NAME.fullmatch(path.name)
             if found and int(found[1]) not in needed:
                 path.unlink(missing_ok=True)
 
-    def read(self, buffer: ReplayBuffer, left_over: np.ndarray) -> None:
+    def read(
+        self, replay: ReplayBuffer, left_over: np.ndarray, checksums: dict[int, str],
+    ) -> None:
         """
         Put the observations of a checkpoint into a buffer that knows how much was written.
 
         Args:
-            buffer: with everything but its observations.
+            replay: with everything but its observations.
             left_over: what `write` returned.
+            checksums: what `checksums` was then.
 
         Raises:
             RunError: a block is missing or damaged, or is not of the buffer's observation size.
         """
-        full = buffer.written // BLOCK
-        for block in range(buffer.oldest // BLOCK, full):
+        for block in _needed(replay):
             path = self.path(block)
+            data = read_regular(path, MAX_BYTES, RunError)
+            if hashlib.sha256(data).hexdigest() != checksums.get(block):
+                raise RunError(f'{path}: damaged checkpoint: not the bytes that were written')
             try:
-                with safetensors.safe_open(path, 'np') as file:
-                    observations = file.get_tensor('observations')
-                buffer.put_observations(block * BLOCK, observations[:BLOCK])
-            except (safetensors.SafetensorError, OSError, ValueError) as error:
+                observations = load(data)['observations']
+                replay.put_observations(block * BLOCK, observations)
+            except (safetensors.SafetensorError, KeyError, ValueError) as error:
                 raise RunError(f'{path}: damaged checkpoint: {error}') from None
             if len(observations) != BLOCK:
                 raise RunError(f'{path}: damaged checkpoint: {len(observations)} observations, '
                                f'not {BLOCK}')
-        buffer.put_observations(max(full * BLOCK, buffer.oldest), left_over)
-        self.remove_unneeded(buffer)
+        full = replay.written // BLOCK
+        first = max(full * BLOCK, replay.oldest)
+        if len(left_over) != replay.written - first:
+            raise ValueError(f'{len(left_over)} observations after slot {first}; expected '
+                             f'{replay.written - first}')
+        replay.put_observations(first, left_over)
+        self.checksums = {block: checksums[block] for block in _needed(replay)}
+
+
+def _needed(replay: ReplayBuffer) -> range:
+    """Return the numbers of the full blocks that hold an observation of the buffer."""
+    return range(replay.oldest // BLOCK, replay.written // BLOCK)

@@ -5,12 +5,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 from msgs_bridge.errors import SettingsError
 from msgs_bridge.settings import parse_text
+from trainer_node.checkpoint import Checkpoint, refuse_differences
+from trainer_node.errors import RunError
 from trainer_node.hyperparameters import Hyperparameters, load_preset
 from trainer_node.run_folder import RunFolder
+
+if TYPE_CHECKING:
+    from trainer_node.training import Training
 
 
 def read_overrides(pairs: Iterable[str]) -> dict[str, Any]:
@@ -40,7 +45,45 @@ def run_settings(
     """
     if not resume:
         return load_preset(preset, overrides)
-    config = RunFolder(folder).config
-    if not config.is_file():
-        raise SettingsError(f'{folder} is no run folder: it has no {config.name}')
-    return load_preset(config, overrides)
+    run = RunFolder(folder)
+    if not run.config.is_file():
+        raise SettingsError(f'{folder} is no run folder: it has no {run.config.name}')
+    return load_preset(run.config, overrides)
+
+
+def resume_point(folder: Path | str, settings: Hyperparameters) -> int:
+    """
+    Return how many training episodes a run has behind it; 0 when it has no checkpoint yet.
+
+    Raises:
+        RunError: it cannot go on with these settings, or its folder cannot be written.
+    """
+    run = RunFolder(folder)
+    run.check_writable()
+    if run.unfinished_start:
+        return 0
+    saved = Checkpoint(run.checkpoint).read()
+    refuse_differences(settings, saved.settings, run.path)
+    learning = saved.state.get('learning')
+    episodes = learning.get('episodes') if isinstance(learning, dict) else None
+    if type(episodes) is not int or episodes < 0:
+        raise RunError(f'{run.checkpoint}: damaged checkpoint: it counts no episodes')
+    return episodes
+
+
+def open_training(
+    folder: Path | str, settings: Hyperparameters, *, resume: bool, **options: Any,
+) -> Training:
+    """
+    Begin a run or go on with one; `options` are those of `Training.create`.
+
+    A run that was killed before its first checkpoint begins again when it is resumed.
+
+    Raises:
+        RunError, LearningError: why that cannot be.
+    """
+    # on first use, because torch takes a second to load
+    from trainer_node.training import Training
+    if resume and not RunFolder(folder).unfinished_start:
+        return Training.resume(folder, settings, **options)
+    return Training.create(settings, folder, **options)

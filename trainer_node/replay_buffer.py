@@ -5,12 +5,13 @@ The replay buffer: every observation once, samples by a few vectorised reads.
 
 Observations lie in a ring in the order they came. A slot holds an observation and, once it is
 known, what was done on seeing it: action, reward and whether the rules ended the episode there.
-The last observation of an unbroken stretch has no action, so whatever walks forward from a slot
-stops there, and `age`, the number of observations before it in its stretch, stops whatever looks
+The last observation of a trajectory segment has no action, so whatever walks forward from a slot
+stops there, and `age`, the number of observations before it in its segment, stops whatever looks
 back.
 """
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -24,7 +25,7 @@ class Batch(NamedTuple):
 
     Attributes:
         observations: uint8 (B, stack, H, W), oldest first, channels last in memory.
-        actions: int64 (B,).
+        actions: encoded actions of the action space, (B, ...).
         rewards: float32 (B,), discounted sum over up to n steps.
         next_observations: uint8 (B, stack, H, W), what was seen after those steps.
         discounts: float32 (B,), factor on the value of `next_observations`; 0 where the rules
@@ -48,23 +49,27 @@ class ReplayBuffer:
         frame_stack: observations in a stack.
         n_steps: rewards that are added up before bootstrapping.
         gamma: discount of one step.
-        mirrored: for each action its mirror image, to flip half of the samples; None never does.
+        action_dtype, action_shape: of an encoded action (`dqn_policy_node.action_space`).
+        mirror: exchanges left and right in encoded actions, to flip half of the samples; None
+            never does.
     """
 
     _ARRAYS = ('actions', 'rewards', 'terminated', 'acted', 'ages')
 
     def __init__(
         self, capacity: int, shape: tuple[int, int], *, frame_stack: int = 1, n_steps: int = 1,
-        gamma: float = 0.99, mirrored: np.ndarray | None = None,
+        gamma: float = 0.99, action_dtype: np.dtype | type = np.uint8,
+        action_shape: tuple[int, ...] = (),
+        mirror: Callable[[np.ndarray], np.ndarray] | None = None,
     ) -> None:
         """Reserve the memory; pages are taken as they are filled."""
         self.capacity = capacity
         self.frame_stack = frame_stack
         self.n_steps = n_steps
         self.gamma = gamma
-        self._mirrored = None if mirrored is None else np.array(mirrored, np.int64)
+        self._mirror = mirror
         self._observations = np.empty((capacity, *shape), np.uint8)
-        self._actions = np.zeros(capacity, np.uint8)
+        self._actions = np.zeros((capacity, *action_shape), action_dtype)
         self._rewards = np.zeros(capacity, np.float32)
         self._terminated = np.zeros(capacity, bool)
         self._acted = np.zeros(capacity, bool)
@@ -83,17 +88,17 @@ class ReplayBuffer:
         return int(np.count_nonzero(self._acted[:len(self)]))
 
     def start(self, observation: np.ndarray) -> None:
-        """Begin a stretch with its first observation, uint8 (H, W)."""
+        """Begin a segment with its first observation, uint8 (H, W)."""
         self._write(observation, 0)
 
     def add(
-        self, action: int, reward: float, next_observation: np.ndarray, *, terminated: bool,
+        self, action: object, reward: float, next_observation: np.ndarray, *, terminated: bool,
     ) -> None:
         """
         Add what was done on seeing the newest observation, and the observation that followed.
 
         Args:
-            action: index of the action.
+            action: the encoded action.
             reward: what it earned, shaped and scaled.
             next_observation: uint8 (H, W).
             terminated: whether the rules ended the episode. After any end call `start` next.
@@ -125,11 +130,11 @@ class ReplayBuffer:
         numbers = self._draw(batch_size, random)
         rewards, discounts, steps = self._look_ahead(numbers)
         slots = numbers % self.capacity
-        actions = self._actions[slots].astype(np.int64)
+        actions = self._actions[slots]
         observations = self._stacks(np.concatenate([numbers, numbers + steps]))
-        if self._mirrored is not None:
+        if self._mirror is not None:
             flipped = random.random(batch_size) < 0.5
-            actions = np.where(flipped, self._mirrored[actions], actions)
+            actions[flipped] = self._mirror(actions[flipped])
             both = np.concatenate([flipped, flipped])
             observations[both] = observations[both][..., ::-1]
         return Batch(

@@ -14,11 +14,14 @@ import os
 from pathlib import Path
 import platform
 import subprocess
+import tempfile
 from typing import Any
 
-from msgs_bridge.atomic_write import write_text
+from msgs_bridge.atomic_write import remove_leftovers, write_text
+from msgs_bridge.regular_file import read_regular
 from trainer_node.errors import RunError
 
+MAX_RECORD_BYTES = 16 * 2**20
 LIBRARIES = ('torch', 'numpy', 'gymnasium', 'safetensors')
 
 
@@ -38,27 +41,58 @@ class RunFolder:
         self.final = self.path / 'final'
         self.tensorboard = self.path / 'tensorboard'
 
+    @property
+    def unfinished_start(self) -> bool:
+        """Return whether a run was begun here and killed before its first checkpoint."""
+        return self.config.is_file() and not any(
+            path.exists() for path in (self.checkpoint, self.best, self.final))
+
     def create(self) -> None:
         """
-        Make the folder.
+        Make the folder; what is left of a run without a checkpoint is removed.
 
         Raises:
             RunError: a run is there already, or the place cannot be written.
         """
-        if self.config.exists() or self.checkpoint.exists():
+        if self.unfinished_start:
+            for path in (self.record, self.episodes, self.validation, self.updates):
+                path.unlink(missing_ok=True)
+        elif self.config.exists() or self.checkpoint.exists():
             raise RunError(f'{self.path} holds a run already; resume it or name another folder')
         try:
             self.checkpoint.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise RunError(f'{self.path}: {error.strerror}') from None
 
+    def check_writable(self) -> None:
+        """
+        See that files can be written, before anything is started that needs to.
+
+        Raises:
+            RunError: they cannot.
+        """
+        try:
+            with tempfile.TemporaryFile(dir=self.path):
+                pass
+        except OSError as error:
+            raise RunError(f'{self.path} cannot be written: {error.strerror}') from None
+
+    def remove_leftovers(self) -> None:
+        """Remove what a killed process was in the middle of writing."""
+        remove_leftovers(self.path, *(
+            path.name for path in (self.config, self.record, self.best, self.final)))
+        remove_leftovers(
+            self.checkpoint.parent, self.checkpoint.name, 'observations-*.safetensors')
+
     def read_record(self) -> dict[str, Any]:
         """Return `run.json`, empty if there is none or it cannot be read."""
         try:
-            record = json.loads(self.record.read_text())
-        except (OSError, ValueError):
+            record = json.loads(read_regular(self.record, MAX_RECORD_BYTES, RunError))
+        except ValueError:  # a RunError among them
             return {}
-        return record if isinstance(record, dict) else {}
+        if not isinstance(record, dict) or not isinstance(record.get('sessions', []), list):
+            return {}
+        return record
 
     def write_record(self, record: dict[str, Any]) -> None:
         """Write `run.json`."""

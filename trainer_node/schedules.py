@@ -3,7 +3,7 @@
 """Epsilon and learning rate over a run."""
 from __future__ import annotations
 
-import math
+import dataclasses
 
 from trainer_node.hyperparameters import Hyperparameters
 
@@ -22,13 +22,24 @@ def epsilon(settings: Hyperparameters, *, episodes: int, decisions: int) -> floa
     return max(value, settings.epsilon_end)
 
 
+@dataclasses.dataclass(frozen=True)
+class LearningRateState:
+    """Where a learning rate is, and by which settings it came there; see `LearningRate`."""
+
+    value: float
+    best_reward: float | None
+    episodes_without_better: int
+    first_value: float
+    schedule: str
+
+
 class LearningRate:
     """
     The learning rate: constant, halved on plateaus, or falling on a line.
 
     Attributes:
         value: the present rate.
-        best_reward: best reward of an episode so far.
+        best_reward: best reward of an episode so far, None before the first one.
         episodes_without_better: how long that is ago.
     """
 
@@ -36,7 +47,7 @@ class LearningRate:
         """Start with the first rate."""
         self._settings = settings
         self.value = settings.learning_rate
-        self.best_reward = -math.inf
+        self.best_reward: float | None = None
         self.episodes_without_better = 0
 
     def episode_ended(self, reward: float) -> None:
@@ -45,7 +56,7 @@ class LearningRate:
 
         A better reward, or a halving, starts the patience anew.
         """
-        if reward > self.best_reward:
+        if self.best_reward is None or reward > self.best_reward:
             self.best_reward = reward
             self.episodes_without_better = 0
             return
@@ -64,3 +75,18 @@ class LearningRate:
         share = min(max(share, 0.0), 1.0)
         self.value = settings.learning_rate + share * (
             settings.learning_rate_end - settings.learning_rate)
+
+    def state(self) -> LearningRateState:
+        """Return where it is."""
+        return LearningRateState(
+            self.value, self.best_reward, self.episodes_without_better,
+            self._settings.learning_rate, self._settings.learning_rate_schedule)
+
+    def restore(self, state: LearningRateState) -> None:
+        """Go on from a state; a first rate or a schedule that has changed starts anew from it."""
+        self.best_reward = state.best_reward
+        self.episodes_without_better = state.episodes_without_better
+        settings = self._settings
+        if (state.first_value, state.schedule) == (
+                settings.learning_rate, settings.learning_rate_schedule):
+            self.value = max(state.value, settings.learning_rate_end)

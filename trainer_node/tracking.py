@@ -12,6 +12,8 @@ from typing import Any
 from trainer_node.errors import RunError
 from trainer_node.run_folder import RunFolder
 
+FILES = ('episodes', 'validation', 'updates')
+
 # the report's columns (4.2.3) first, then more
 EPISODE_COLUMNS = (
     'episode', 'train_reward', 'validation_reward', 'epsilon', 'learning_rate',
@@ -21,9 +23,12 @@ EPISODE_COLUMNS = (
 VALIDATION_COLUMNS = (
     'version', 'episode', 'decisions', 'updates', 'wall_seconds', 'episodes', 'mean', 'std',
     'minimum', 'maximum', 'completed', 'seconds')
-UPDATE_COLUMNS = (
-    'updates', 'decisions', 'loss', 'td_error', 'q_mean', 'grad_norm', 'learning_rate', 'epsilon',
-    'wall_seconds', 'updates_per_second')
+
+
+def update_columns(figures: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the columns of `updates.csv` for a learner that gives some figures."""
+    return ('updates', 'decisions', *figures, 'learning_rate', 'epsilon', 'wall_seconds',
+            'updates_per_second')
 
 
 class CsvFile:
@@ -34,19 +39,23 @@ class CsvFile:
         Open or begin the file.
 
         Raises:
-            OSError: the file cannot be written.
-            RunError: the file has other columns.
+            RunError: the file cannot be written, or has other columns.
         """
         self.path = path
         self.columns = columns
-        self._file = open(path, 'ab')  # noqa: SIM115
+        if path.exists() and not path.is_file():
+            raise RunError(f'{path}: not a regular file')
+        try:
+            self._file = open(path, 'ab')  # noqa: SIM115
+        except OSError as error:
+            raise RunError(f'{path}: {error.strerror}') from None
+        header = _row(columns)
+        self._least = len(header)
         if self._file.tell() == 0:
             self._append(columns)
-            return
-        with open(path, newline='') as file:
-            header = next(csv.reader(file), [])
-        if tuple(header) != columns:
-            raise RunError(f'{path}: columns are {header}; expected {list(columns)}')
+        with open(path, 'rb') as file:
+            if file.read(len(header)) != header:
+                raise RunError(f'{path}: expected the columns {", ".join(columns)}')
 
     def write(self, values: dict[str, Any]) -> None:
         """Append a row; a column without a value stays empty."""
@@ -63,10 +72,10 @@ class CsvFile:
         Cut the file to an earlier length.
 
         Raises:
-            RunError: the file is shorter than that.
+            RunError: the file is shorter than that, or that is no place after its columns.
         """
         size = os.fstat(self._file.fileno()).st_size
-        if size < position:
+        if not self._least <= position <= size:
             raise RunError(f'{self.path}: {size} bytes, but {position} at the checkpoint')
         self._file.truncate(position)
 
@@ -75,10 +84,14 @@ class CsvFile:
         self._file.close()
 
     def _append(self, cells: Any) -> None:
-        text = io.StringIO()
-        csv.writer(text, lineterminator='\n').writerow(cells)
-        self._file.write(text.getvalue().encode())
+        self._file.write(_row(cells))
         self._file.flush()
+
+
+def _row(cells: Any) -> bytes:
+    text = io.StringIO()
+    csv.writer(text, lineterminator='\n').writerow(cells)
+    return text.getvalue().encode()
 
 
 def _cell(value: Any) -> Any:
@@ -90,11 +103,13 @@ def _cell(value: Any) -> Any:
 class Tracking:
     """The three CSV files of a run, and TensorBoard when asked for."""
 
-    def __init__(self, folder: RunFolder, *, tensorboard: bool = False) -> None:
-        """Open the files; raises OSError or RunError."""
+    def __init__(
+        self, folder: RunFolder, figures: tuple[str, ...], *, tensorboard: bool = False,
+    ) -> None:
+        """Open the files for a learner that gives some figures; raises RunError."""
         self.episodes = CsvFile(folder.episodes, EPISODE_COLUMNS)
         self.validation = CsvFile(folder.validation, VALIDATION_COLUMNS)
-        self.updates = CsvFile(folder.updates, UPDATE_COLUMNS)
+        self.updates = CsvFile(folder.updates, update_columns(figures))
         self._writer = None
         if tensorboard:
             self._writer = _tensorboard_writer(folder.tensorboard)
@@ -104,9 +119,9 @@ class Tracking:
         self.episodes.write(values)
         self._scalars(values['decisions'], {
             'charts/episodic_return': values['train_reward'],
-            'charts/episodic_length': values['frames'],
+            'charts/episodic_length': values.get('frames'),
             'charts/epsilon': values['epsilon'],
-            'charts/lap_finished': values['lap_finished'],
+            'charts/lap_finished': values.get('lap_finished'),
         })
 
     def validated(self, values: dict[str, Any]) -> None:
@@ -121,25 +136,24 @@ class Tracking:
         """Write the figures of some hundred updates down."""
         self.updates.write(values)
         self._scalars(values['decisions'], {
-            'losses/td_loss': values['loss'],
-            'losses/q_values': values['q_mean'],
+            'losses/td_loss': values.get('loss'),
+            'losses/q_values': values.get('q_mean'),
             'charts/learning_rate': values['learning_rate'],
             'charts/updates_per_second': values['updates_per_second'],
         })
 
     def positions(self) -> dict[str, int]:
         """Return the length of each CSV file."""
-        return {name: getattr(self, name).position()
-                for name in ('episodes', 'validation', 'updates')}
+        return {name: getattr(self, name).position() for name in FILES}
 
     def set_back(self, positions: dict[str, int]) -> None:
         """Cut the CSV files to the lengths of a checkpoint; raises RunError."""
-        for name, position in positions.items():
-            getattr(self, name).set_back(position)
+        for name in FILES:
+            getattr(self, name).set_back(positions[name])
 
     def close(self) -> None:
         """Close all files."""
-        for name in ('episodes', 'validation', 'updates'):
+        for name in FILES:
             getattr(self, name).close()
         if self._writer is not None:
             self._writer.close()

@@ -1,84 +1,92 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
 """
-A training run: transitions in, better weights out.
+A training run: learning, model selection, records and checkpoint put together.
 
 `add` takes transitions strictly in order and makes the updates that are due, so what is learned
 is a function of the stream of transitions and not of the machine's speed. (The one exception is
 asked for by name: a run with `run_minutes` lets its learning rate fall by the clock.)
+
+Who drives a run lets a `Driver` (`trainer_node/driver.py`) ask what is due when.
 """
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 import dataclasses
-import math
 from pathlib import Path
 import time
 from typing import Any
 
 import numpy as np
-import torch
 
+from dqn_policy_node.model_description import ModelDescription
 from dqn_policy_node.model_folder import Model, save_model
-from dqn_policy_node.preprocessing import Preprocessor
 from dqn_policy_node.weights_message import encode_weights
 from msgs_bridge.atomic_write import write_text
-from msgs_bridge.errors import BridgeError, MessageError
-from msgs_bridge.settings import from_mapping
-from msgs_bridge.step import Step, VALIDATION_FIELDS
 from msgs_bridge.transitions import Transition
-from trainer_node import schedules
-from trainer_node.checkpoint_file import read_checkpoint, write_checkpoint
-from trainer_node.errors import RunError
+from trainer_node.checkpoint import Checkpoint, Part, refuse_differences
+from trainer_node.errors import LearningError, RunError
 from trainer_node.hyperparameters import Hyperparameters, to_yaml
-from trainer_node.learner import Learner, UpdateResult
-from trainer_node.limiter import ReplayRatioLimiter
-from trainer_node.observation_blocks import ObservationBlocks
-from trainer_node.replay_buffer import ReplayBuffer
+from trainer_node.learning import Learning
+from trainer_node.model_selection import ModelSelection, Moment
 from trainer_node.run_folder import describe_machine, now, RunFolder
-from trainer_node.shaping import shaped_reward
-from trainer_node.tracking import Tracking
-
-UPDATES_PER_ROW = 200
-MOVING_AVERAGE_EPISODES = 20
-# versions sent out for validation whose results have not come back
-MAX_PENDING = 4
+from trainer_node.run_record import RunRecord
+from trainer_node.saved_state import Seconds
 
 
-class _Mean:
-    """Means of the figures of updates since the last look."""
+@dataclasses.dataclass(frozen=True)
+class ClockState:
+    """Wall seconds of a run over all its sessions."""
 
-    def __init__(self, sums: list[float] | None = None, count: int = 0) -> None:
-        self.sums = sums or [0.0] * len(UpdateResult._fields)
-        self.count = count
+    seconds: Seconds
 
-    def add(self, result: UpdateResult) -> None:
-        self.sums = [total + value for total, value in zip(self.sums, result)]
-        self.count += 1
 
-    def take(self) -> dict[str, float | None]:
-        means = {
-            name: total / self.count if self.count else None
-            for name, total in zip(UpdateResult._fields, self.sums)}
-        self.__init__()
-        return means
+class RunClock:
+    """
+    Counts the wall seconds of a run over all its sessions.
+
+    Attributes:
+        State: what `state` returns.
+        before: seconds of the sessions before this one.
+    """
+
+    State = ClockState
+
+    def __init__(self, clock: Callable[[], float]) -> None:
+        """Start with a clock that only goes forward."""
+        self._clock = clock
+        self._started = clock()
+        self.before = 0.0
+
+    @property
+    def seconds(self) -> float:
+        """Return the seconds so far."""
+        return self.before + self._clock() - self._started
+
+    def state(self) -> ClockState:
+        """Return the seconds so far."""
+        return ClockState(self.seconds)
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Return nothing: it has no arrays."""
+        return {}
+
+    def restore(self, state: ClockState, _: object = None) -> None:
+        """Go on from a checkpoint."""
+        self.before = state.seconds
 
 
 class Training:
     """
-    One run: buffer, learner, schedules, tracking and checkpoints.
+    One run in its folder.
 
-    Make one with `create` or `resume`. Feed it with `add`; when `weights_due`, publish
-    `weights_message`; hand results of validations to `record_validation`; when `checkpoint_due`,
-    `save`; at the end `finish`.
+    Make one with `create` or `resume`, feed it with `add`, `finish` it at the end.
 
     Attributes:
         settings: the hyperparameters.
-        description: the model that is learned.
         folder: paths of the run folder.
-        episodes, decisions, version: training episodes that ended, transitions that came in,
-            and the version of the weights that were handed out last.
+        learning: replay, learner, limiter and schedules.
+        selection: versions of the weights and the best of them.
     """
 
     def __init__(
@@ -86,46 +94,17 @@ class Training:
         tensorboard: bool, clock: Callable[[], float],
     ) -> None:
         """Prepare a run from its first transition on; use `create` or `resume`."""
-        torch.set_num_threads(1)
-        torch.manual_seed(settings.seed)
         self.settings = settings
-        self.description = settings.model_description()
         self.folder = folder
-        self._random = np.random.default_rng(settings.seed)
-        self._clock = clock
-        self._started = clock()
-        self._wall_before = 0.0
-        self._preprocess = Preprocessor(self.description.preprocessing)
-        self.learner = Learner(settings, device)
-        self.buffer = ReplayBuffer(
-            settings.replay_capacity, self.description.preprocessing.shape,
-            frame_stack=settings.frame_stack, n_steps=settings.n_steps, gamma=settings.gamma,
-            mirrored=self.description.action_space.mirror(
-                np.arange(len(self.description.action_space))) if settings.flips else None)
-        self._blocks = ObservationBlocks(folder.checkpoint.parent)
-        self.limiter = ReplayRatioLimiter(
-            settings.samples_per_transition, settings.batch_size, settings.learning_starts)
-        self._learning_rate = schedules.LearningRate(settings)
-        self.episodes = self.decisions = self.version = self.foreign_actions = 0
-        self._next_stamp = -1
-        self._published_updates = 0
-        self._validate = False
-        self._validation_decisions = 0
-        self._validation_seconds = 0.0
-        self._pending: dict[int, dict[str, torch.Tensor]] = {}
-        self._best: dict[str, Any] = {}
-        self._last_validation: dict[str, float] = {}
-        self._new_validation: float | None = None
-        self._returns: deque[float] = deque(maxlen=MOVING_AVERAGE_EPISODES)
-        self._of_episode = _Mean()
-        self._of_row = _Mean()
-        self._last_result: dict[str, float | None] = {}
-        self._row_seconds = 0.0
-        self._updates_per_second = 0.0
+        self._clock = RunClock(clock)
+        self.learning = Learning(settings, device)
+        self.selection = ModelSelection(settings)
+        self._record = RunRecord(
+            folder, self.learning.learner.FIGURES, tensorboard=tensorboard)
+        self._checkpoint = Checkpoint(folder.checkpoint)
         self._saved_seconds = 0.0
         self._finished = False
-        self._record: dict[str, Any] = {}
-        self._tracking = Tracking(folder, tensorboard=tensorboard)
+        self._failure: LearningError | None = None
 
     @classmethod
     def create(
@@ -133,7 +112,7 @@ class Training:
         tensorboard: bool = False, clock: Callable[[], float] = time.monotonic,
     ) -> Training:
         """
-        Begin a run in a new folder.
+        Begin a run in a new folder, or in one whose run was killed before its first checkpoint.
 
         Args:
             settings: the hyperparameters.
@@ -148,13 +127,14 @@ class Training:
         """
         folder = RunFolder(run_folder)
         folder.create()
+        folder.remove_leftovers()
         training = cls(settings, folder, device=device, tensorboard=tensorboard, clock=clock)
-        training._record = {
-            'started': now(), 'seeds': {
-                'training': settings.seed, 'validation': settings.validation_seed},
-            'sessions': []}
-        training._begin_session()
         write_text(folder.config, to_yaml(settings))
+        training._begin_session({
+            'started': now(), 'seeds': {
+                'training': settings.seed, 'validation': settings.validation_seed}})
+        # from its first moment on there is something to go on from
+        training.save()
         return training
 
     @classmethod
@@ -168,7 +148,8 @@ class Training:
 
         Args:
             run_folder: the folder of the run.
-            settings: other hyperparameters from here on; the model must stay the same.
+            settings: other hyperparameters from here on. They take effect with the next update;
+                the model, the learner and what rewards are made of must stay the same.
             device: as for `create`.
             tensorboard: as for `create`.
             clock: as for `create`.
@@ -178,138 +159,68 @@ class Training:
                 differs.
         """
         folder = RunFolder(run_folder)
-        arrays, state = read_checkpoint(folder.checkpoint)
-        try:
-            saved = from_mapping(Hyperparameters, state['settings'])
-        except (BridgeError, KeyError) as error:
-            raise RunError(f'{folder.checkpoint}: {error}') from None
-        if settings is None:
-            settings = saved
-        differences = settings.model_description().differences(saved.model_description())
-        if settings.replay_capacity != saved.replay_capacity:
-            differences.append(f'replay_capacity is {settings.replay_capacity}, not '
-                               f'{saved.replay_capacity}')
-        if bool(settings.weight_average) != bool(saved.weight_average):
-            differences.append(f'weight_average is {settings.weight_average}, not '
-                               f'{saved.weight_average}')
-        if differences:
-            raise RunError(
-                f'{folder.path} cannot be resumed with these settings, because its checkpoint '
-                'differs: ' + '; '.join(differences))
+        checkpoint = Checkpoint(folder.checkpoint)
+        saved = checkpoint.read()
+        settings = settings or saved.settings
+        refuse_differences(settings, saved.settings, folder.path)
+        folder.check_writable()
+        folder.remove_leftovers()
         training = cls(settings, folder, device=device, tensorboard=tensorboard, clock=clock)
-        try:
-            training._load(arrays, state)
-        except (KeyError, ValueError, TypeError, RuntimeError) as error:
-            if isinstance(error, RunError):
-                raise
-            raise RunError(f'{folder.checkpoint}: damaged checkpoint: {error}') from None
-        training._record = folder.read_record()
-        training._begin_session()
-        if settings != saved:
+        training._checkpoint.restore(saved, training._parts, training.learning.replay)
+        training._saved_seconds = training.wall_seconds
+        training._begin_session(folder.read_record())
+        if settings != saved.settings:
             write_text(folder.config, to_yaml(settings))
         return training
 
-    # Learning. ---------------------------------------------------------------------------------
+    @property
+    def _parts(self) -> dict[str, Part]:
+        """Return what a checkpoint is made of, by name."""
+        return {'learning': self.learning, 'selection': self.selection,
+                'record': self._record, 'clock': self._clock}
 
-    def add(self, transition: Transition) -> int:
-        """
-        Take the next transition and make the updates that are due.
+    def _begin_session(self, run: dict[str, Any]) -> None:
+        self._record.begin_session(
+            run, device=self.learning.learner.device, seconds=self._clock.before)
+        self._write_run()
 
-        Returns:
-            How many updates were made.
-
-        Raises:
-            LearningError: the loss is not finite.
-            MessageError: the command is no action of the space, or the frame has another size; the
-                transition is left out.
-        """
+    def _write_run(self) -> None:
         try:
-            action = self.description.action_space.encode(transition.command)
-        except MessageError:
-            self.foreign_actions += 1
-            self._next_stamp = -1
-            raise
-        next_observation = self._preprocess(transition.next_frame)
-        if transition.stamp != self._next_stamp:
-            self.buffer.start(self._preprocess(transition.frame))
-        step = transition.step
-        reward = shaped_reward(self.settings, step, transition.previous)
-        terminated = transition.terminated or bool(
-            self.settings.early_end_terminal and step.info.get('ended_early'))
-        self.buffer.add(action, reward, next_observation, terminated=terminated)
-        ended = step.ended
-        self._next_stamp = -1 if ended else transition.next_stamp
-        self.decisions += 1
-        self.limiter.insert()
-        before = self.learner.updates
-        while self.limiter.due():
-            self._update()
-        if ended:
-            self._end_episode(step)
-        self._look_at_validation(ended)
-        return self.learner.updates - before
-
-    def _update(self) -> None:
-        self._learning_rate.progressed(self.progress)
-        batch = self.buffer.sample(self.settings.batch_size, self._random)
-        result = self.learner.update(batch, self._learning_rate.value)
-        self.limiter.sampled()
-        self._of_episode.add(result)
-        self._of_row.add(result)
-        if self.learner.updates % UPDATES_PER_ROW == 0:
-            self._write_updates()
-
-    def _write_updates(self) -> None:
-        seconds = self.wall_seconds
-        rows = self._of_row.count
-        self._updates_per_second = rows / max(seconds - self._row_seconds, 1e-9)
-        self._row_seconds = seconds
-        means = self._of_row.take()
-        self._last_result = means
-        self._tracking.updated({
-            'updates': self.learner.updates, 'decisions': self.decisions, **means,
-            'grad_norm': means['gradient_norm'], 'learning_rate': self._learning_rate.value,
-            'epsilon': self.epsilon, 'wall_seconds': seconds,
-            'updates_per_second': self._updates_per_second})
-
-    def _end_episode(self, step: Step) -> None:
-        epsilon = self.epsilon
-        self.episodes += 1
-        reward, info = step.episode_return, step.info
-        self._returns.append(reward)
-        self._learning_rate.episode_ended(reward)
-        if (self.settings.target_update == 'episodes'
-                and self.episodes % self.settings.target_every == 0):
-            self.learner.copy_to_target()
-        means = self._of_episode.take()
-        self._tracking.episode({
-            'episode': self.episodes - 1, 'train_reward': reward,
-            'validation_reward': self._new_validation, 'epsilon': epsilon,
-            'learning_rate': self._learning_rate.value, 'frames': info.get('step'),
-            'decisions': self.decisions, 'lap_finished': info.get('lap_finished'),
-            'ended_early': info.get('ended_early'), 'tiles_visited': info.get('tiles_visited'),
-            'tiles_total': info.get('tiles_total'),
-            'standing_still': info.get('standing_still'),
-            **means, 'updates': self.learner.updates, 'replay_size': len(self.buffer),
-            'replay_ratio': self.limiter.ratio, 'weights_version': self.version,
-            'wall_seconds': self.wall_seconds})
-        self._new_validation = None
+            self._record.write_run(seconds=self.wall_seconds, complete=self.complete)
+        except OSError as error:
+            raise RunError(
+                f'{self.folder.record} cannot be written: {error.strerror}') from None
 
     @property
-    def epsilon(self) -> float:
-        """Return the present share of random actions."""
-        return schedules.epsilon(
-            self.settings, episodes=self.episodes, decisions=self.decisions)
+    def description(self) -> ModelDescription:
+        """Return the model that is learned."""
+        return self.learning.description
 
     @property
-    def learning_rate(self) -> float:
-        """Return the present learning rate."""
-        return self._learning_rate.value
+    def episodes(self) -> int:
+        """Return how many training episodes have ended."""
+        return self.learning.episodes
+
+    @property
+    def decisions(self) -> int:
+        """Return how many transitions have come in."""
+        return self.learning.decisions
+
+    @property
+    def version(self) -> int:
+        """Return the version of the weights that were handed out last."""
+        return self.selection.version
 
     @property
     def wall_seconds(self) -> float:
         """Return the seconds this run has taken so far, over all its sessions."""
-        return self._wall_before + self._clock() - self._started
+        return self._clock.seconds
+
+    @property
+    def moment(self) -> Moment:
+        """Return how far the run is, as records name it."""
+        return Moment(
+            self.episodes, self.decisions, self.learning.learner.updates, self.wall_seconds)
 
     @property
     def progress(self) -> float:
@@ -324,58 +235,77 @@ class Training:
 
     @property
     def complete(self) -> bool:
-        """Return whether one of the limits of the run is reached."""
-        return self.progress >= 1
+        """Return whether one of the limits of the run is reached, or it was finished."""
+        return self._finished or self.progress >= 1
 
-    # Weights out, validations in. --------------------------------------------------------------
+    @property
+    def failed(self) -> bool:
+        """Return whether learning has failed, so that the checkpoint before is kept."""
+        return self._failure is not None
+
+    @property
+    def acting_epsilon(self) -> float:
+        """Return the epsilon that is driven with: that of the weights that went out last."""
+        handed_out = self.selection.epsilon
+        return self.learning.epsilon if handed_out is None else handed_out
+
+    def add(self, transition: Transition) -> int:
+        """
+        Take the next transition and make the updates that are due.
+
+        Returns:
+            How many updates were made.
+
+        Raises:
+            LearningError: the loss is not finite, or a shaping term lacks what it needs.
+            MessageError: the command is no action of the space, or the frame has another size;
+                the transition is left out.
+        """
+        learning, updates = self.learning, self.learning.learner.updates
+        try:
+            learning.insert(transition)
+            while learning.due:
+                self._record.updated(
+                    learning.update(self.progress), learning, epsilon=learning.epsilon,
+                    seconds=self.wall_seconds)
+        except LearningError as error:
+            self._failure = error
+            raise
+        ended = transition.step.ended
+        if ended:
+            epsilon = self.acting_epsilon
+            learning.end_episode(transition.step.episode_return)
+            self._record.episode(
+                transition.step, learning, epsilon=epsilon, version=self.version,
+                seconds=self.wall_seconds)
+        self.selection.ask_when_due(self.moment, episode_ended=ended)
+        return learning.learner.updates - updates
 
     def weights_due(self) -> bool:
         """Return whether weights should be published now."""
-        return (self.version == 0 or self._validate
-                or self.learner.updates - self._published_updates >= self.settings.weights_every)
+        return self.selection.due(self.learning.learner.updates, self.learning.epsilon)
 
-    def weights_message(self, *, validate: bool | None = None) -> bytes:
+    def next_weights(self, *, validate: bool | None = None) -> bytes:
         """
-        Return the next version of the weights for the `weights` topic.
+        Make the next version of the weights; return it for the `weights` topic.
 
         Args:
             validate: whether to ask for a validation of them; None leaves it to the schedule.
         """
-        if validate is None:
-            validate = self._validate
-        self.version += 1
-        self._published_updates = self.learner.updates
-        tensors = self.learner.acting_tensors()
-        if validate:
-            self._validate = False
-            self._pending[self.version] = tensors
-            while len(self._pending) > MAX_PENDING:
-                del self._pending[min(self._pending)]
+        tensors, epsilon = self.learning.learner.acting_tensors(), self.learning.epsilon
+        validate = self.selection.next_version(
+            tensors, self.moment, epsilon, validate=validate)
         return encode_weights(
-            tensors, self.description, version=self.version, epsilon=self.epsilon,
+            tensors, self.description, version=self.version, epsilon=epsilon,
             gas_weight=self.settings.gas_weight,
             exploration_hold=self.settings.exploration_hold, validate=validate)
 
-    def _look_at_validation(self, ended: bool) -> None:
-        """Ask for a validation when enough has happened since the last one."""
-        settings = self.settings
-        due = bool(ended and settings.validation_every_episodes
-                   and self.episodes % settings.validation_every_episodes == 0)
-        every = settings.validation_every_decisions
-        due |= bool(every and self.decisions - self._validation_decisions >= every)
-        every = settings.validation_every_minutes * 60
-        due |= bool(every and self.wall_seconds - self._validation_seconds >= every)
-        if due:
-            self._validate = True
-            self._validation_decisions = self.decisions
-            self._validation_seconds = self.wall_seconds
-
-    def record_validation(self, values: dict[str, float]) -> bool:
+    def record_validation(self, values: Mapping[str, float]) -> bool:
         """
         Take the result of a validation; keep its weights if none were better.
 
         Args:
-            values: `VALIDATION_FIELDS`; results of a version that was not asked for, or was
+            values: `step.VALIDATION_FIELDS`; results of a version that was not asked for, or was
                 answered already, are left out.
 
         Returns:
@@ -383,58 +313,60 @@ class Training:
 
         Raises:
             MessageError: a field is missing.
+            RunError: the model cannot be written.
         """
-        for name in VALIDATION_FIELDS:
-            if name not in values or not math.isfinite(values[name]):
-                raise MessageError(f'validation lacks {name!r} or it is not finite')
-        tensors = self._pending.pop(int(values['version']), None)
-        if tensors is None:
+        judgement = self.selection.judge(values)
+        if judgement is None:
             return False
-        row = {**values, 'episode': self.episodes, 'decisions': self.decisions,
-               'updates': self.learner.updates, 'wall_seconds': self.wall_seconds}
-        self._tracking.validated(row)
-        self._last_validation = row
-        self._new_validation = values['mean']
-        score = values['mean'] - self.settings.validation_spread_weight * values['std']
-        if self._best and score <= self._best['score']:
-            return False
-        self._best = {'score': score, **row}
-        save_model(self.folder.best, Model(
-            self.description, tensors, self._training_record(), int(values['version'])))
-        return True
+        self._record.validated(judgement.row)
+        if judgement.better:
+            row = judgement.row
+            self._save_model(self.folder.best, judgement.tensors, int(row['version']), Moment(
+                **{field.name: row[field.name] for field in dataclasses.fields(Moment)}))
+        return judgement.better
 
-    def _training_record(self) -> dict[str, Any]:
-        """Return how the present weights came about, for a model folder."""
-        return {
-            'episodes': self.episodes, 'decisions': self.decisions,
-            'updates': self.learner.updates, 'wall_seconds': self.wall_seconds,
-            'validation': self._last_validation, 'best_validation': self._best,
-            'run': {key: value for key, value in self._record.items() if key != 'sessions'},
-            'machine': describe_machine(),
-            'hyperparameters': dataclasses.asdict(self.settings),
-        }
-
-    # Figures and files. ------------------------------------------------------------------------
+    def _save_model(
+        self, folder: Path, tensors: dict[str, Any], version: int, made: Moment,
+    ) -> None:
+        """Write a model folder whose record says when its weights were made."""
+        moment = dataclasses.asdict(made)
+        try:
+            save_model(folder, Model(self.description, tensors, {
+                'episodes': moment.pop('episode'), **moment,
+                'validation': self.selection.last, 'best_validation': self.selection.best,
+                'run': self._record.run, 'machine': describe_machine(),
+                'hyperparameters': dataclasses.asdict(self.settings)}, version))
+        except OSError as error:
+            raise RunError(f'{folder} cannot be written: {error.strerror}') from None
 
     def status(self) -> dict[str, float]:
         """Return the figures of the moment, for diagnostics and displays."""
         values: dict[str, float] = {
-            'episodes': self.episodes, 'decisions': self.decisions,
-            'updates': self.learner.updates, 'updates_per_second': self._updates_per_second,
-            'progress': self.progress, 'epsilon': self.epsilon,
-            'learning_rate': self._learning_rate.value, 'replay_size': len(self.buffer),
-            'replay_ratio': self.limiter.ratio, 'weights_version': self.version,
-            'foreign_actions': self.foreign_actions, 'wall_seconds': self.wall_seconds,
-        }
-        values.update(
-            (name, value) for name, value in self._last_result.items() if value is not None)
-        if self._returns:
-            values['last_return'] = self._returns[-1]
-            values['mean_return'] = math.fsum(self._returns) / len(self._returns)
-        if self._last_validation:
-            values['validation_mean'] = self._last_validation['mean']
-            values['best_validation'] = self._best['mean']
+            **self.learning.figures(), **self._record.figures(), 'progress': self.progress,
+            'epsilon': self.learning.epsilon, 'weights_version': self.version,
+            'wall_seconds': self.wall_seconds}
+        if self.selection.last:
+            values['validation_mean'] = self.selection.last['mean']
+            values['best_validation'] = self.selection.best['mean']
         return values
+
+    def learns_from(self, source: list[str]) -> int:
+        """
+        Begin or go on with a recorded source of transitions.
+
+        Args:
+            source: names of what is read, in order.
+
+        Returns:
+            How many of its first transitions the run has taken before.
+        """
+        found = self._record.noted('source')
+        if not isinstance(found, dict) or found.get('names') != source or not isinstance(
+                found.get('first'), int):
+            found = {'names': source, 'first': self.learning.taken}
+            self._record.note('source', found)
+            self._write_run()
+        return max(self.learning.taken - found['first'], 0)
 
     def checkpoint_due(self) -> bool:
         """Return whether it is time to `save`."""
@@ -446,101 +378,29 @@ class Training:
         Write a checkpoint of everything, whole or not at all; return its path.
 
         Raises:
-            OSError: the disk is full or the folder cannot be written; the checkpoint before
-                stays whole.
+            RunError: the disk is full or the folder cannot be written, or learning has failed,
+                so that going on from here would fail again; the checkpoint before stays whole.
         """
+        if self._failure is not None:
+            raise RunError(
+                f'learning has failed, so the checkpoint before is kept: {self.folder.checkpoint}')
         self._saved_seconds = self.wall_seconds
-        arrays = {f'replay.{name}': array for name, array in self.buffer.state_arrays().items()}
-        arrays['observations'] = self._blocks.write(self.buffer)
-        for name, tensor in self.learner.state_tensors().items():
-            arrays[f'learner.{name}'] = tensor.contiguous().numpy()
-        for version, tensors in self._pending.items():
-            for name, tensor in tensors.items():
-                arrays[f'pending.{version}.{name}'] = tensor.contiguous().numpy()
-        arrays['torch_random'] = torch.get_rng_state().numpy()
-        state = {
-            'settings': dataclasses.asdict(self.settings),
-            'counters': {name: getattr(self, name) for name in self._COUNTERS},
-            'updates': self.learner.updates,
-            'written': self.buffer.written,
-            'limiter': [self.limiter.transitions, self.limiter.updates],
-            'learning_rate': [
-                self._learning_rate.value, self._learning_rate.best_reward,
-                self._learning_rate.episodes_without_better],
-            'random': self._random.bit_generator.state,
-            'learner_random': self.learner.random_state,
-            'returns': list(self._returns),
-            'of_episode': [self._of_episode.sums, self._of_episode.count],
-            'of_row': [self._of_row.sums, self._of_row.count],
-            'wall_seconds': self.wall_seconds,
-            'positions': self._tracking.positions(),
-        }
-        write_checkpoint(self.folder.checkpoint, arrays, state)
-        self._blocks.remove_unneeded(self.buffer)
-        self._write_record()
-        return self.folder.checkpoint
-
-    _COUNTERS = (
-        'episodes', 'decisions', 'version', 'foreign_actions', '_next_stamp',
-        '_published_updates', '_validate', '_validation_decisions', '_validation_seconds',
-        '_best', '_last_validation', '_new_validation', '_last_result', '_row_seconds',
-        '_updates_per_second', '_saved_seconds')
-
-    def _load(self, arrays: dict[str, np.ndarray], state: dict[str, Any]) -> None:
-        """Take over a checkpoint; raises KeyError, ValueError or RunError if it is damaged."""
-        tensors = {
-            name: torch.from_numpy(array) for name, array in arrays.items()
-            if name.startswith(('learner.', 'pending.', 'torch_random'))}
-        self.learner.load_state(
-            {name.removeprefix('learner.'): tensor for name, tensor in tensors.items()},
-            state['updates'])
-        self.buffer.load_state(
-            {name.removeprefix('replay.'): array for name, array in arrays.items()},
-            state['written'])
-        self._blocks.read(self.buffer, arrays['observations'])
-        for name, tensor in tensors.items():
-            if name.startswith('pending.'):
-                _, version, key = name.split('.', 2)
-                self._pending.setdefault(int(version), {})[key] = tensor
-        for name in self._COUNTERS:
-            setattr(self, name, state['counters'][name])
-        self.limiter.transitions, self.limiter.updates = state['limiter']
-        (self._learning_rate.value, self._learning_rate.best_reward,
-         self._learning_rate.episodes_without_better) = state['learning_rate']
-        self._random.bit_generator.state = state['random']
-        self.learner.random_state = state['learner_random']
-        self._returns.extend(state['returns'])
-        self._of_episode = _Mean(*state['of_episode'])
-        self._of_row = _Mean(*state['of_row'])
-        self._wall_before = state['wall_seconds']
-        self._tracking.set_back(state['positions'])
-        torch.set_rng_state(tensors['torch_random'])
+        path = self._checkpoint.save(self.settings, self._parts, self.learning.replay)
+        self._write_run()
+        return path
 
     def finish(self) -> Path:
         """
         Write checkpoint and final model, and close the files; return the model's folder.
 
         Raises:
-            OSError: the disk is full or the folder cannot be written.
+            RunError: as for `save`.
         """
-        if self._finished:
-            return self.folder.final
-        self.save()
-        save_model(self.folder.final, Model(
-            self.description, self.learner.acting_tensors(), self._training_record(),
-            self.version))
-        self._tracking.close()
-        self._finished = True
+        if not self._finished:
+            self._finished = True
+            self.save()
+            self._save_model(
+                self.folder.final, self.learning.learner.acting_tensors(), self.version,
+                self.moment)
+            self._record.close()
         return self.folder.final
-
-    def _begin_session(self) -> None:
-        """Note in `run.json` when and on what machine this part of the run began."""
-        self._record.setdefault('sessions', []).append({
-            'started': now(), 'from_seconds': self._wall_before,
-            'device': str(self.learner.device), **describe_machine()})
-        self._write_record()
-
-    def _write_record(self) -> None:
-        self._record['wall_seconds'] = self.wall_seconds
-        self._record['complete'] = self.complete
-        self.folder.write_record(self._record)

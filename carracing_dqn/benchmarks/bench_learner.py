@@ -27,7 +27,7 @@ import torch
 from dqn_policy_node.action_space import action_space, DUMMY_SPACE
 from dqn_policy_node.model_description import ModelDescription
 from trainer_node.hyperparameters import Hyperparameters, load_preset
-from trainer_node.learner import Learner
+from trainer_node.learner import make_learner
 from trainer_node.replay_buffer import ReplayBuffer
 from trainer_node.run_folder import describe_machine
 
@@ -49,7 +49,7 @@ def nature(*, bf16: bool) -> Hyperparameters:
 def ours(settings: Hyperparameters) -> Update:
     """Return a function that samples and makes one update with our learner."""
     torch.manual_seed(0)
-    learner = Learner(settings, 'cpu')
+    learner = make_learner(settings, 'cpu')
     description = settings.model_description()
     buffer = ReplayBuffer(
         HELD, description.preprocessing.shape, frame_stack=settings.frame_stack,
@@ -103,8 +103,9 @@ def update_operations(description: ModelDescription, batch: int, *, double: bool
         width = (width - layer.kernel) // layer.stride + 1
         layers.append(height * width * layer.filters * channels * layer.kernel ** 2)
         channels = layer.filters
-    hidden, actions = description.network.hidden, len(description.action_space)
-    layers += [channels * height * width * hidden, hidden * actions]
+    hidden = description.network.hidden
+    outputs = len(description.action_space) * description.network.quantiles
+    layers += [channels * height * width * hidden, hidden * outputs]
     forward = 2 * batch * sum(layers)
     # target forward, online forward, gradient by weights and by inputs (not by the observations)
     return forward * (4 + double) - 2 * batch * layers[0]

@@ -19,12 +19,14 @@ import time
 
 from dqn_policy_node.policy import Policy
 from dqn_policy_node.weights_message import decode_weights
-from carracing_dqn.evaluation.validator import validate
+from carracing_dqn.evaluation.validator import validate_weights
 from carracing_dqn.simulation import open_drive
 from msgs_bridge.transitions import Transition
-from trainer_node.hyperparameters import load_preset
-from trainer_node.open_run import read_overrides
+from trainer_node.driver import Driver
+from trainer_node.open_run import open_training, read_overrides, run_settings
 from trainer_node.training import Training
+
+REPORT_SECONDS = 10.0
 
 
 def learn(
@@ -32,7 +34,7 @@ def learn(
     validating: bool = True,
 ) -> None:
     """
-    Drive and learn until the run is complete or the time is over.
+    Drive and learn until the run is complete or the time is over, and save it.
 
     Args:
         training: the run.
@@ -45,34 +47,32 @@ def learn(
         **settings.simulator_parameters(), 'first_episode': training.episodes})
     policy = Policy(training.description, seed=settings.seed)
     policy.action_repeat = settings.action_repeat
+
+    def publish(data: bytes) -> dict[str, float] | None:
+        policy.swap_weights(decode_weights(data, training.description))
+        return validate_weights(data, settings.validation_seeds) if validating else None
+
+    driver = Driver(training, publish)
     started = reported = time.monotonic()
     frame = None
-    while not training.complete and time.monotonic() - started < minutes * 60:
-        if training.weights_due():
-            update = decode_weights(training.weights_message(), training.description)
-            policy.swap_weights(update)
-            if update.validate and validating:
-                judge = Policy(training.description)
-                judge.swap_weights(update)
-                first = settings.validation_seed
-                training.record_validation(validate(
-                    judge, range(first, first + settings.validation_tracks),
-                    version=update.version))
+    try:
+        while driver.turn() and time.monotonic() - started < minutes * 60:
+            if frame is None or frame.step.ended:
+                frame = drive.begin()
+                policy.reset()
+            before = frame
+            command = policy.decide(before.pixels).command
+            frame = drive.advance(command, before.stamp)
+            driver.add(Transition(
+                before.stamp, frame.stamp, before.pixels, frame.pixels, command,
+                frame.step, before.step))
+            if time.monotonic() - reported > REPORT_SECONDS:
+                reported = time.monotonic()
                 report(training.status())
-        if frame is None or frame.step.ended:
-            frame = drive.begin()
-            policy.reset()
-        before = frame
-        command = policy.decide(before.pixels).command
-        frame = drive.advance(command, before.stamp)
-        training.add(Transition(
-            before.stamp, frame.stamp, before.pixels, frame.pixels, command,
-            frame.step, before.step))
-        if training.checkpoint_due():
-            training.save()
-        if time.monotonic() - reported > 10:
-            reported = time.monotonic()
-            report(training.status())
+    finally:
+        driver.end()
+        if not training.failed:
+            driver.close()
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -85,21 +85,16 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument('--set', nargs='*', action='extend', default=[], metavar='NAME=VALUE',
                         help='hyperparameters that differ from the preset')
     args = parser.parse_args(argv)
-    overrides = read_overrides(args.set)
 
     def report(status: dict[str, float]) -> None:
         sys.stdout.write(json.dumps({
             name: float(f'{value:.5g}') for name, value in status.items()}) + '\n')
         sys.stdout.flush()
 
-    if args.resume:
-        training = Training.resume(args.run)
-    else:
-        training = Training.create(load_preset(args.preset, overrides), args.run)
-    try:
-        learn(training, minutes=args.minutes, report=report)
-    finally:
-        training.finish()
+    settings = run_settings(
+        args.run, args.preset, read_overrides(args.set), resume=args.resume)
+    learn(open_training(args.run, settings, resume=args.resume), minutes=args.minutes,
+          report=report)
     return 0
 
 

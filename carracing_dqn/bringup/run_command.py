@@ -60,14 +60,18 @@ def refuse_second_simulator(monitor: Monitor) -> None:
         time.sleep(0.1)
 
 
-def new_folder(path: Path | None, prefix: str) -> Path:
+def default_folder(prefix: str) -> Path:
+    """Return the output folder of a run for which none was named."""
+    return Path('runs') / f'{prefix}-{time.strftime("%Y%m%d-%H%M%S")}'
+
+
+def new_folder(path: Path) -> Path:
     """
-    Make the output folder of a run.
+    Make the output folder of a run and return it.
 
     Raises:
         BridgeError: it exists already or cannot be made.
     """
-    path = path or Path('runs') / f'{prefix}-{time.strftime("%Y%m%d-%H%M%S")}'
     try:
         path.mkdir(parents=True)
     except FileExistsError:
@@ -129,7 +133,7 @@ def main(arguments: argparse.Namespace) -> int:
     monitor = Monitor(arguments.namespace)
     try:
         refuse_second_simulator(monitor)
-        folder = new_folder(arguments.output, 'drive')
+        folder = new_folder(arguments.output or default_folder('drive'))
         console.print(f'model {model}; output {folder}', highlight=False, soft_wrap=True)
         interrupted = drive(arguments, model, folder, monitor, console)
     finally:

@@ -11,12 +11,14 @@ from carracing_dqn.bringup.display import Display
 from carracing_dqn.bringup.monitor import GraphState, Monitor
 from carracing_dqn.bringup.processes import node_command, ProcessGroup
 from carracing_dqn.bringup.provenance import provenance_text
-from carracing_dqn.bringup.run_command import new_folder, refuse_second_simulator, stop_on_signals
+from carracing_dqn.bringup.run_command import (
+    default_folder, new_folder, refuse_second_simulator, stop_on_signals,
+)
+from msgs_bridge.errors import BridgeError
 from rich.console import Console
 from rich.table import Table
-from trainer_node.checkpoint_file import read_state
 from trainer_node.hyperparameters import Hyperparameters
-from trainer_node.open_run import read_overrides, run_settings
+from trainer_node.open_run import read_overrides, resume_point, run_settings
 from trainer_node.run_folder import RunFolder
 
 TRAINER = 'trainer_node'
@@ -51,21 +53,24 @@ def main(arguments: argparse.Namespace) -> int:
     if arguments.minutes is not None:
         overrides.append(f'run_minutes={arguments.minutes}')
     resume = arguments.resume is not None
-    folder = arguments.resume if resume else arguments.run
+    folder = arguments.resume if resume else arguments.run or default_folder(
+        Path(arguments.preset).stem)
+    if not resume and folder.exists() and not RunFolder(folder).unfinished_start:
+        raise BridgeError(f'{folder} exists already; choose another folder')
+    if arguments.from_bag:
+        from carracing_dqn.bringup.train_from_bag import learn_from_bags
+        return learn_from_bags(
+            arguments.from_bag, folder, arguments.preset, read_overrides(overrides), console,
+            namespace=arguments.namespace, resume=resume, tensorboard=arguments.tensorboard)
     # before the folder is made, so that a wrong name leaves nothing behind
     hyperparameters = run_settings(
         folder, arguments.preset, read_overrides(overrides), resume=resume)
     episodes = 0
     if resume:
-        episodes = read_state(RunFolder(folder).checkpoint)['counters']['episodes']
-        (folder / 'log').mkdir(exist_ok=True)
-    else:
-        folder = new_folder(folder, Path(arguments.preset).stem)
-    if arguments.from_bag:
-        from carracing_dqn.bringup.train_from_bag import learn_from_bags
-        return learn_from_bags(
-            hyperparameters, folder, arguments.from_bag, console, resume=resume,
-            tensorboard=arguments.tensorboard)
+        episodes = resume_point(folder, hyperparameters)
+    elif not folder.exists():
+        new_folder(folder)
+    (folder / 'log').mkdir(exist_ok=True)
     monitor = Monitor(arguments.namespace)
     try:
         refuse_second_simulator(monitor)

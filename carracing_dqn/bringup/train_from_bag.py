@@ -3,49 +3,112 @@
 """Learning from recorded transitions: the same trainer, without a graph."""
 from __future__ import annotations
 
+from collections.abc import Iterable
+import itertools
 from pathlib import Path
 import time
+from typing import Any
 
+from bags.topic_lookup import need_topic
+from bags.reader import BagReader
 from bags.transitions import bag_transitions
-from msgs_bridge.errors import MessageError
+from carracing_dqn.evaluation.validator import validate_weights
+from msgs_bridge.errors import BridgeError, SettingsError
+from msgs_bridge.topics import IMAGE, STEP
 from rich.console import Console
-from trainer_node.hyperparameters import Hyperparameters
+from trainer_node.driver import Driver
+from trainer_node.open_run import open_training, run_settings
 from trainer_node.training import Training
 
 LINE_SECONDS = 5.0
 
 
 def learn_from_bags(
-    hyperparameters: Hyperparameters, folder: Path, bags: list[Path], console: Console, *,
-    resume: bool, tensorboard: bool,
+    bags: list[Path], folder: Path, preset: str, overrides: dict[str, Any], console: Console, *,
+    namespace: str, resume: bool, tensorboard: bool,
 ) -> int:
     """
     Feed the transitions of bags to a trainer as fast as it takes them; return the exit code.
 
-    Whatever happens, what was learned is saved.
+    The run ends with the bags; what a preset says in minutes goes by the share of them.
+    Checkpoints are written as in the graph, validations are driven in this process, and whatever
+    happens, what was learned is saved. A run that is resumed with the same bags goes on where it
+    was.
+
+    Args:
+        bags: what is learned from, in order.
+        folder: of the run.
+        preset: its hyperparameters; those of the run when it is resumed.
+        overrides: hyperparameters that differ from them.
+        console: where progress is shown.
+        namespace: where the topics of the car are; needed if there are several.
+        resume: whether to go on with the run in the folder.
+        tensorboard: whether to write event files, too.
+
+    Raises:
+        BridgeError: a bag, a setting or the folder cannot be used; nothing is left behind then.
     """
-    open_run = Training.resume if resume else Training.create
-    arguments = (folder, hyperparameters) if resume else (hyperparameters, folder)
-    training = open_run(*arguments, tensorboard=tensorboard)
-    next_line = 0.0
-    complete = False
+    steps = count_steps(bags, namespace)
+    settings = run_settings(folder, preset, overrides, resume=resume)
+    if 'run_minutes' not in overrides:
+        settings = settings.for_recorded(steps)
+    if steps <= settings.learning_starts and not resume:
+        raise SettingsError(
+            f'the bags hold at most {steps - 1} transitions, so nothing is learned with '
+            f'learning_starts {settings.learning_starts}; set it lower')
+    training = open_training(folder, settings, resume=resume, tensorboard=tensorboard)
+
+    def say(text: str) -> None:
+        console.print(text, highlight=False, markup=False, soft_wrap=True)
+
+    def publish(data: bytes) -> dict[str, float] | None:
+        try:
+            return validate_weights(data, settings.validation_seeds)
+        except BridgeError as error:
+            say(f'no validation: {error}')
+            return None
+
+    driver = Driver(training, publish, say=say, last_validation_seconds=settings.validates)
+    taken = training.learns_from([bag.name for bag in bags])
     try:
-        for transition in bag_transitions(bags):
-            try:
-                training.add(transition)
-            except MessageError:
-                continue  # an action of another set; counted by the trainer
-            if time.monotonic() >= next_line:
-                next_line = time.monotonic() + LINE_SECONDS
-                console.print(status_line(training), highlight=False)
-            if training.complete:
-                break
-        complete = True
+        transitions = bag_transitions(bags, namespace=namespace)
+        _learn(driver, itertools.islice(transitions, taken, None), say)
     finally:
-        console.print(status_line(training), highlight=False)
-        saved = training.finish() if complete else training.save()
-        console.print(f'saved {saved}', highlight=False, soft_wrap=True)
+        say(status_line(training))
+        if not training.failed:
+            say(f'saved {driver.close()}')
     return 0
+
+
+def _learn(driver: Driver, transitions: Iterable[Any], say: Any) -> None:
+    """Learn from all transitions, or until the run is complete."""
+    next_line = 0.0
+    for transition in transitions:
+        driver.add(transition)
+        if time.monotonic() >= next_line:
+            next_line = time.monotonic() + LINE_SECONDS
+            say(status_line(driver.training))
+        if not driver.turn() or driver.ended:
+            break
+    driver.end()
+    while driver.turn():
+        pass
+
+
+def count_steps(bags: Iterable[Path], namespace: str) -> int:
+    """
+    Return how many `step` messages bags hold: a transition for each, or one less an episode.
+
+    Raises:
+        BagError: a bag cannot be read, or lacks images or steps.
+    """
+    count = 0
+    for bag in bags:
+        with BagReader(bag) as reader:
+            need_topic(reader, IMAGE, namespace=namespace)
+            count += reader.topics[
+                need_topic(reader, STEP, namespace=namespace)].message_count
+    return count
 
 
 def status_line(training: Training) -> str:

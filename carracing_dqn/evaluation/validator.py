@@ -10,6 +10,8 @@ from carracing_dqn.evaluation.errors import EvaluationError
 from carracing_dqn.evaluation.laps import drive_lap, Lap, Policy
 from carracing_dqn.evaluation.simulators import make_simulator
 from carracing_dqn.evaluation.workers import limit_torch_threads
+from dqn_policy_node import policy as dqn_policy
+from dqn_policy_node.weights_message import decode_weights
 import numpy as np
 
 
@@ -63,3 +65,20 @@ def validate(
         'completed': sum(lap.lap_finished for lap in laps) / len(laps),
         'seconds': time.perf_counter() - started,
     }
+
+
+def validate_weights(data: bytes, seeds: Iterable[int]) -> dict[str, float] | None:
+    """
+    Drive a validation of a weights image that asks for one; None if it does not.
+
+    Raises:
+        ModelError: the image cannot be used.
+        MessageError: the model sees frames of another size.
+    """
+    update = decode_weights(data)
+    if not update.validate:
+        return None
+    policy = dqn_policy.Policy(update.description)
+    policy.swap_weights(update)
+    policy.epsilon = 0.0
+    return validate(policy, seeds, version=update.version)

@@ -1,0 +1,355 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""Checkpoints: damage of every kind is one line, and a kill at any moment leaves a run whole."""
+import copy
+import errno
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+
+from dqn_policy_node.model_folder import load_model, save_model
+from learning_cases import create, drive, stream, tiny, validation
+from msgs_bridge import atomic_write
+from msgs_bridge.errors import BridgeError
+import pytest
+from trainer_node import observation_blocks
+from trainer_node.checkpoint import Checkpoint
+from trainer_node.checkpoint_file import read_checkpoint, write_checkpoint
+from trainer_node.errors import RunError
+from trainer_node.open_run import open_training, resume_point, run_settings
+from trainer_node.run_folder import RunFolder
+from trainer_node.training import Training
+
+
+@pytest.fixture(scope='module')
+def saved(tmp_path_factory):
+    """Return the folder of a run with blocks, a model and a pending validation."""
+    patch = pytest.MonkeyPatch()
+    patch.setattr(observation_blocks, 'BLOCK', 16)
+    training = create(tmp_path_factory.mktemp('saved') / 'run')
+    drive(training, stream(60))
+    training.next_weights(validate=True)
+    training.save()
+    yield training.folder.path
+    patch.undo()
+
+
+@pytest.fixture
+def run(saved, tmp_path):
+    """Return a copy of it."""
+    return RunFolder(shutil.copytree(saved, tmp_path / 'run'))
+
+
+def resume(run):
+    return Training.resume(run.path, device='cpu')
+
+
+def is_one_line(error):
+    return '\n' not in str(error) and len(str(error)) < 500
+
+
+def test_a_full_disk_keeps_the_checkpoint_before(tmp_path, monkeypatch):
+    training = create(tmp_path / 'run')
+    drive(training, stream(30))
+    training.save()
+    before = training.folder.checkpoint.read_bytes()
+    drive(training, stream(30, seed=1))
+
+    def full(handle):
+        raise OSError(errno.ENOSPC, 'No space left on device')
+    monkeypatch.setattr(atomic_write.os, 'fsync', full)
+    with pytest.raises(RunError, match='cannot be written: No space left'):
+        training.save()
+    monkeypatch.undo()
+    assert training.folder.checkpoint.read_bytes() == before
+    assert [path.name for path in training.folder.checkpoint.parent.iterdir()] == [
+        'checkpoint.safetensors']
+    assert Training.resume(tmp_path / 'run', device='cpu').decisions == 30
+
+
+@pytest.mark.parametrize('how', ['cut', 'empty', 'other', 'missing'])
+def test_a_damaged_block_of_observations_is_named(run, how):
+    block = sorted(run.checkpoint.parent.glob('observations-*'))[1]
+    block.unlink() if how == 'missing' else damage(block, how)
+    with pytest.raises(RunError, match=f'{block.name}: (damaged checkpoint|no such file)'):
+        resume(run)
+
+
+def test_blocks_that_no_checkpoint_needs_are_removed(tmp_path, monkeypatch):
+    monkeypatch.setattr(observation_blocks, 'BLOCK', 16)
+    training = create(tmp_path / 'run')
+    for seed in range(6):
+        drive(training, stream(60, seed=seed))
+        training.save()
+    blocks = list(training.folder.checkpoint.parent.glob('observations-*'))
+    assert training.learning.replay.oldest > 100
+    assert len(blocks) <= training.settings.replay_capacity // 16 + 1
+
+
+def damage(path, how):
+    data = path.read_bytes()
+    path.write_bytes({'cut': data[:len(data) // 2], 'empty': b'', 'other': b'\0' * 500}[how])
+
+
+@pytest.mark.parametrize('how', ['cut', 'empty', 'other'])
+def test_a_damaged_checkpoint_is_named_in_one_line(run, how):
+    damage(run.checkpoint, how)
+    with pytest.raises(RunError, match='checkpoint.safetensors: damaged') as caught:
+        resume(run)
+    assert is_one_line(caught.value)
+
+
+def test_csv_files_that_were_cut_by_hand_are_noticed(run):
+    run.episodes.write_text('')
+    with pytest.raises(RunError, match='episodes.csv: .* bytes, but'):
+        resume(run)
+
+
+def test_no_flipped_bit_of_a_checkpoint_is_accepted(run):
+    good = run.checkpoint.read_bytes()
+    header = 8 + int.from_bytes(good[:8], 'little')
+    # some hundred places: all kinds of the header's, and of the arrays
+    for place in [*range(0, header, header // 150), *range(header, len(good), len(good) // 150)]:
+        for bit in (1, 64, 128):
+            data = bytearray(good)
+            data[place] ^= bit
+            run.checkpoint.write_bytes(bytes(data))
+            with pytest.raises(RunError) as caught:
+                Checkpoint(run.checkpoint).read()
+            assert is_one_line(caught.value), place
+    run.checkpoint.write_bytes(good)
+    assert resume(run).decisions == 60
+
+
+def test_no_flipped_bit_of_a_block_is_accepted(run):
+    block = sorted(run.checkpoint.parent.glob('observations-*'))[0]
+    good = block.read_bytes()
+    for place in (3, 40, len(good) // 2, len(good) - 1):
+        data = bytearray(good)
+        data[place] ^= 2
+        block.write_bytes(bytes(data))
+        with pytest.raises(RunError, match=f'{block.name}: damaged'):
+            resume(run)
+
+
+def test_blocks_that_changed_places_are_noticed(run):
+    first, second, *_ = sorted(run.checkpoint.parent.glob('observations-*'))
+    one, other = first.read_bytes(), second.read_bytes()
+    first.write_bytes(other)
+    second.write_bytes(one)
+    with pytest.raises(RunError, match='not the bytes that were written'):
+        resume(run)
+
+
+def leaves(state, path=()):
+    if isinstance(state, dict):
+        for name, value in state.items():
+            yield from leaves(value, (*path, name))
+    elif isinstance(state, list):
+        yield path, state
+        for place, value in enumerate(state):
+            yield from leaves(value, (*path, place))
+    else:
+        yield path, state
+
+
+def put(state, path, value):
+    state = copy.deepcopy(state)
+    place = state
+    for name in path[:-1]:
+        place = place[name]
+    place[path[-1]] = value
+    return state
+
+
+# a seed of NumPy's generators may be any whole number of its size
+FREE = ('random', 'learner_random')
+NULLABLE = ('segment_end', 'published_epsilon', 'best_reward', 'new_validation')
+WRONG = {
+    int: (-1, 10**30, 1.5, float('nan'), 'x', True, None, [], {}),
+    float: (float('nan'), float('inf'), 'x', True, [], {}),
+    bool: (2, 'x', None, {}), str: (1, None, []), list: (1, 'x', {}), type(None): ('x', [], {}),
+}
+
+
+def test_a_state_of_another_kind_is_refused_whatever_it_says(run):
+    """The checksum is right in all of these: somebody has written them."""
+    arrays, state = read_checkpoint(run.checkpoint)
+    write_checkpoint(run.checkpoint, arrays, state)
+    assert resume(run).decisions == 60
+    parts = {name: part for name, part in state.items() if name not in ('settings', 'blocks')}
+    tried = 0
+    for path, value in leaves(parts):
+        if set(path) & set(FREE):
+            continue
+        # a row of a validation holds figures, no counts
+        kind = float if {'best', 'last'} & set(path) else type(value)
+        wrong = [other for other in WRONG[kind]
+                 if other is not None or path[-1] not in NULLABLE]
+        for other in (wrong[tried % len(wrong)], wrong[(tried + 1) % len(wrong)]):
+            tried += 1
+            write_checkpoint(run.checkpoint, arrays, put(state, path, other))
+            with pytest.raises(RunError) as caught:
+                resume(run)
+                pytest.fail(f'accepted {path} as {other}')
+            assert is_one_line(caught.value), (path, other)
+    assert tried > 80
+
+
+@pytest.mark.parametrize('path, value', [
+    (('settings',), []), (('settings',), None), (('settings', 'gamma'), 'x'),
+    (('settings', 'gamma'), 7.0), (('settings', 'nonsense'), 1),
+    (('blocks',), []), (('blocks', '0'), 5), (('blocks', 'x'), 'y'),
+    (('learning',), None), (('record',), 'x'), (('clock',), {}),
+    (('record', 'positions'), {}), (('record', 'positions', 'episodes'), 3),
+    (('record', 'positions', 'episodes'), 10**9),
+    (('learning', 'written'), 10**12), (('learning', 'written'), 7),
+    (('learning', 'random'), {}), (('learning', 'random'), {'bit_generator': 'PCG64'}),
+    (('learning', 'random', 'state', 'state'), -1),
+    (('learning', 'learner_random', 'state'), 'x'),
+    (('selection', 'pending'), {}), (('selection', 'pending', 'x'), None),
+    (('selection', 'best'), {}), (('selection', 'last'), {}),
+])
+def test_a_state_that_does_not_fit_is_refused(run, path, value):
+    arrays, state = read_checkpoint(run.checkpoint)
+    write_checkpoint(run.checkpoint, arrays, put(state, path, value))
+    with pytest.raises(RunError) as caught:
+        resume(run)
+    assert is_one_line(caught.value)
+    assert run.path.name in str(caught.value)
+
+
+def test_arrays_that_do_not_fit_are_refused(run):
+    arrays, state = read_checkpoint(run.checkpoint)
+    write_checkpoint(run.checkpoint, arrays, state)
+    assert resume(run).decisions == 60
+    for name, array in arrays.items():
+        for other in ({}, {name: array[:-1] if array.ndim else array[None]},
+                      {name: array.astype('float16')}):
+            changed = {**{key: each for key, each in arrays.items() if key != name}, **other}
+            write_checkpoint(run.checkpoint, changed, state)
+            with pytest.raises(RunError) as caught:
+                resume(run)
+                pytest.fail(f'accepted {name} as {other.get(name)}')
+            assert is_one_line(caught.value), (name, other)
+
+
+def test_a_checkpoint_of_another_version_is_named(run):
+    data = run.checkpoint.read_bytes()
+    run.checkpoint.write_bytes(data.replace(b'checkpoint 2', b'checkpoint 1', 1))
+    with pytest.raises(RunError, match='not a carracing_dqn checkpoint 2'):
+        resume(run)
+
+
+@pytest.mark.parametrize('name', ['checkpoint/checkpoint.safetensors', 'run.json', 'updates.csv',
+                                  'checkpoint/observations-000000000.safetensors'])
+def test_what_never_ends_is_not_read(run, name):
+    path = run.path / name
+    path.unlink()
+    os.mkfifo(path)
+    if name == 'run.json':
+        assert resume(run).decisions == 60
+        return
+    with pytest.raises(RunError, match='not a regular file'):
+        resume(run)
+
+
+def test_what_was_out_for_validation_is_asked_for_again(run):
+    later = resume(run)
+    assert later.weights_due()
+    version = later.version
+    later.next_weights()
+    # the result of before may still come, from a validator that lived on
+    assert later.record_validation(validation(version, mean=1e3))
+    assert later.record_validation(validation(later.version, mean=2e3))
+
+
+def test_what_killed_saves_left_behind_is_removed(run):
+    left = [run.checkpoint.parent / '.checkpoint.safetensors.abcd1234',
+            run.checkpoint.parent / '.observations-000000003.safetensors.abcd1234',
+            run.path / '.run.json.a_b_c_d_', run.path / '.best.12345678' / 'new' / 'model.json']
+    left[-1].parent.mkdir(parents=True)
+    mine = [run.path / '.notes.txt', run.path / '.best.mine', run.path / '.hidden.abcd1234']
+    for path in (*left, *mine):
+        path.write_text('x')
+    resume(run)
+    assert not any(path.exists() for path in left)
+    assert all(path.exists() for path in mine)
+
+
+def test_a_folder_that_was_moved_away_by_a_killed_save_is_put_back(run):
+    away = run.path / '.best.abcd1234'
+    away.mkdir()
+    run.best.rename(away / 'old')
+    resume(run)
+    assert load_model(run.best).training['episodes'] > 0
+    assert not away.exists()
+
+
+def test_a_file_system_that_cannot_exchange_folders_still_replaces_them(run, monkeypatch):
+    monkeypatch.setattr(atomic_write, '_exchange', lambda first, second: False)
+    model = load_model(run.best)
+    save_model(run.best, model)
+    assert load_model(run.best).version == model.version
+    assert not list(run.path.glob('.best.*'))
+
+
+def test_the_best_model_is_whole_whenever_the_process_is_killed(run):
+    code = ('import sys\nfrom dqn_policy_node.model_folder import load_model, save_model\n'
+            'model = load_model(sys.argv[1])\nprint("go", flush=True)\n'
+            'while True: save_model(sys.argv[1], model)')
+    for trial in range(3):
+        process = subprocess.Popen(
+            [sys.executable, '-c', code, str(run.best)], stdout=subprocess.PIPE)
+        process.stdout.readline()
+        with pytest.raises(subprocess.TimeoutExpired):
+            process.wait(0.02 + 0.03 * trial)
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        process.stdout.close()
+        assert load_model(run.best).version > 0
+    assert resume(run).decisions == 60
+    assert not list(run.path.glob('.best.*'))
+
+
+def test_a_run_that_was_killed_before_its_first_checkpoint_begins_again(tmp_path):
+    begun = create(tmp_path / 'run', validation_every_episodes=0)
+    drive(begun, stream(60))
+    begun.folder.checkpoint.unlink()
+    assert len(begun.folder.episodes.read_text().splitlines()) > 1
+    settings = run_settings(tmp_path / 'run', 'racing', {}, resume=True)
+    assert resume_point(tmp_path / 'run', settings) == 0
+    again = open_training(tmp_path / 'run', settings, resume=True, device='cpu')
+    assert (again.decisions, again.settings) == (0, begun.settings)
+    assert len(again.folder.episodes.read_text().splitlines()) == 1
+    assert again.folder.checkpoint.is_file()
+    again.folder.checkpoint.unlink()
+    assert create(tmp_path / 'run', gamma=0.5).settings.gamma == 0.5
+
+
+def test_a_run_whose_checkpoint_was_removed_is_not_begun_again(run):
+    run.checkpoint.unlink()
+    rows = run.episodes.read_bytes()
+    with pytest.raises(RunError, match='holds a run already'):
+        create(run.path)
+    with pytest.raises(RunError, match='no such checkpoint'):
+        open_training(run.path, tiny(), resume=True, device='cpu')
+    assert run.episodes.read_bytes() == rows
+
+
+def test_a_place_that_cannot_be_written_is_one_line():
+    with pytest.raises(RunError, match='/proc cannot be written: '):
+        RunFolder('/proc').check_writable()
+    with pytest.raises(BridgeError, match='/proc/run'):
+        create('/proc/run')
+
+
+def test_resume_point_says_what_a_resume_would(run):
+    assert resume_point(run.path, tiny()) == 4
+    with pytest.raises(RunError, match='hidden is 16, not 8'):
+        resume_point(run.path, tiny(hidden=16))
+    record = json.loads(run.record.read_text())
+    assert len(record['sessions']) == 1

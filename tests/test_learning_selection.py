@@ -1,0 +1,61 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""Which weights are the best, and what is known of them."""
+from dqn_policy_node.model_folder import load_model
+from dqn_policy_node.weights_message import decode_weights
+from learning_cases import create, drive, rows, stream, validation
+from msgs_bridge.errors import MessageError
+import pytest
+import torch
+
+
+def test_the_best_model_is_the_best_validated_one(tmp_path):
+    training = create(tmp_path / 'run', validation_every_episodes=0)
+    messages = {}
+    for count, mean in ((1, 5.0), (2, 9.0), (3, 7.0)):
+        messages[count] = decode_weights(training.next_weights(validate=True))
+        drive(training, stream(40, seed=count))
+        kept = training.record_validation(validation(messages[count].version, mean=mean))
+        assert kept is (count != 3)
+    model = load_model(tmp_path / 'run' / 'best')
+    assert model.version == messages[2].version
+    assert all(
+        torch.equal(tensor, messages[2].tensors[name]) for name, tensor in model.tensors.items())
+    assert model.training['best_validation']['mean'] == 9.0
+
+
+def test_results_that_nobody_asked_for_are_left_out(tmp_path):
+    training = create(tmp_path / 'run')
+    training.next_weights()
+    assert training.record_validation(validation(1)) is False
+    assert rows(tmp_path / 'run' / 'validation.csv') == []
+    with pytest.raises(MessageError, match="validation lacks 'episodes'"):
+        training.record_validation({'version': 1})
+    with pytest.raises(MessageError, match='not finite'):
+        training.record_validation(validation(1, mean=float('nan')))
+
+
+def test_a_spread_weight_prefers_the_steady_model(tmp_path):
+    training = create(tmp_path / 'run', validation_spread_weight=0.5)
+    for mean, std, kept in ((100.0, 60.0, True), (90.0, 10.0, True), (110.0, 80.0, False)):
+        training.next_weights(validate=True)
+        assert training.record_validation(
+            validation(training.version, mean=mean, std=std)) is kept
+
+
+def test_a_result_that_comes_late_tells_of_when_its_weights_were_made(tmp_path):
+    training = create(tmp_path / 'run', validation_every_episodes=0)
+    drive(training, stream(40))
+    training.next_weights(validate=True)
+    version, then = training.version, training.moment
+    drive(training, stream(60, seed=1))
+    assert training.moment.decisions == 100
+    training.record_validation(validation(version))
+    row, = rows(training.folder.validation)
+    assert (row['version'], row['decisions'], row['updates'], row['episode']) == tuple(
+        map(str, (version, 40, then.updates, then.episode)))
+    record = load_model(training.folder.best).training
+    assert (record['decisions'], record['updates'], record['episodes']) == (
+        40, then.updates, then.episode)
+    assert record['wall_seconds'] == pytest.approx(then.wall_seconds, abs=2)
+    assert record['best_validation']['decisions'] == 40

@@ -1,0 +1,85 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What a checkpoint holds beside arrays: dataclasses as JSON, checked by type when they come back.
+
+A field may be an `int` (a count: whole and not negative), a `float` (finite), a `bool`, a `str`,
+`Seconds` (finite and not negative), another such dataclass, any of them `| None`, a
+`list[...]` or `dict[str, ...]` of them, or `dict[str, Any]` for what somebody else will check.
+"""
+from __future__ import annotations
+
+import dataclasses
+import math
+import types
+from typing import Annotated, Any, get_args, get_origin, get_type_hints, TypeVar, Union
+
+from trainer_node.errors import RunError
+
+Kind = TypeVar('Kind')
+Seconds = Annotated[float, 'seconds']
+# a float64 holds every whole number up to here, and no run counts further
+MAX_COUNT = 2**53
+
+
+def from_json(kind: type[Kind], values: Any, path: str) -> Kind:
+    """
+    Return a dataclass made of JSON values that are not trusted.
+
+    Args:
+        kind: the dataclass.
+        values: what `dataclasses.asdict` gave once.
+        path: how the text of an error names it.
+
+    Raises:
+        RunError: a field is missing, unknown, or not of its type.
+    """
+    if not isinstance(values, dict):
+        raise RunError(f'{path} is {_shown(values)}; expected a mapping')
+    hints = get_type_hints(kind, include_extras=True)
+    for problem, names in (
+        ('lacks', hints.keys() - values.keys()), ('has unknown', values.keys() - hints.keys()),
+    ):
+        if names:
+            raise RunError(f'{path} {problem} {sorted(names)[0]!r}'[:200])
+    return kind(**{name: _checked(hint, values[name], f'{path}.{name}')
+                   for name, hint in hints.items()})
+
+
+def _checked(hint: Any, value: Any, path: str) -> Any:
+    """Return a value if it is what a type hint says; raises RunError."""
+    if get_origin(hint) in (Union, types.UnionType):
+        if value is None:
+            return None
+        hint = next(each for each in get_args(hint) if each is not types.NoneType)
+    if dataclasses.is_dataclass(hint):
+        return from_json(hint, value, path)
+    if get_origin(hint) is list and type(value) is list:
+        return [_checked(get_args(hint)[0], each, f'{path}[{index}]')
+                for index, each in enumerate(value)]
+    if get_origin(hint) is dict and type(value) is dict:
+        inner = get_args(hint)[1]
+        if inner is Any:
+            return value
+        return {name: _checked(inner, each, f'{path}.{name}') for name, each in value.items()}
+    if hint is int and type(value) is int and 0 <= value <= MAX_COUNT:
+        return value
+    if hint in (float, Seconds) and type(value) in (int, float) and math.isfinite(value) and (
+            hint is float or value >= 0):
+        return value
+    if hint in (bool, str) and type(value) is hint:
+        return value
+    raise RunError(f'{path[:200]} is {_shown(value)}; expected {_in_words(hint)}')
+
+
+def _in_words(hint: Any) -> str:
+    return {
+        int: 'a whole number from 0', float: 'a finite number', Seconds: 'seconds from 0',
+        bool: 'true or false', str: 'a text',
+    }.get(hint) or ('a list' if get_origin(hint) is list else 'a mapping')
+
+
+def _shown(value: Any) -> str:
+    """Return a value as an error shows it: short, whatever it is."""
+    return repr(value) if isinstance(value, (int, float, bool, type(None))) and (
+        not isinstance(value, int) or abs(value) < 1e18) else f'a {type(value).__name__}'
