@@ -3,14 +3,19 @@
 """
 dqn_policy_node: images in, twists out.
 
-Purpose: answer every image with the action of the greedy (or epsilon-greedy) policy.
+Purpose: answer every image with the action of the greedy (or epsilon-greedy) policy. A camera
+stage makes frames of the model's size out of any images, a command stage makes a robot's twists
+out of the policy's commands.
 
 Subscribes: `image_raw`, `weights`. Publishes: `cmd_vel`, `q_values`, `/diagnostics`.
+Services: `~/enable` (std_srvs/SetBool): while disabled, one zero twist and then none.
 Parameters: `dqn_policy_node/settings.py`.
 
-Behaviour when things go wrong: an image that cannot be used and weights whose hash, description
-or values are wrong are counted and logged (throttled), and the node goes on as it was; when no
-image comes for `stale_after`, one zero twist is sent.
+Behaviour when things go wrong: an image that cannot be used and weights that are older than those
+at work or whose hash, description or values are wrong are counted and logged (throttled), and the
+node goes on as it was; when no image comes for `stale_after`, one zero twist is sent. Only the
+newest image that waits is answered, others are counted. The diagnostics say "driving" only while
+images are answered and somebody hears the twists, else what is missing.
 """
 from __future__ import annotations
 
@@ -19,27 +24,32 @@ import time
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from dqn_policy_node.action_space import DUMMY_SPACE
+from dqn_policy_node.camera import Camera
+from dqn_policy_node.command_stage import CommandStage
 from dqn_policy_node.device import choose_device
+from dqn_policy_node.model_description import FRAME_SIDE
 from dqn_policy_node.pilot import Pilot
-from dqn_policy_node.policy import load_policy, Policy, RandomPolicy
+from dqn_policy_node.policy import Answer, load_policy, Policy, RandomPolicy
 from dqn_policy_node.settings import PolicySettings
 from dqn_policy_node.shipped_models import find_model
 from dqn_policy_node.weights_message import decode_weights
 from geometry_msgs.msg import Twist, TwistStamped
 from msgs_bridge import topics
 from msgs_bridge.errors import BridgeError, MessageError
-from msgs_bridge.images import image_to_array
 from msgs_bridge.named_values import fill_named_values
 from msgs_bridge.node_shell import NodeShell, run_node
 from msgs_bridge.stamps import NANOSECONDS, to_nanoseconds
-from msgs_bridge.twists import Command, fill_twist, STOP
+from msgs_bridge.twists import Command, fill_twist
 from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool
 import torch
 
 NO_MODEL = ''
 RANDOM_MODEL = 'random'
 # of weights only the last is of use, but a reader that keeps few goes deaf in a flood
 WEIGHTS_DEPTH = 100
+# without an image for so long nothing drives; seconds
+SILENCE_SECONDS = 2.0
 
 
 class DqnPolicyNode(NodeShell):
@@ -53,21 +63,27 @@ class DqnPolicyNode(NodeShell):
         self._device = choose_device(settings.device)
         # one observation at a time gains nothing from a second thread, and takes a core
         torch.set_num_threads(1)
+        self._commands = CommandStage(settings)
         if settings.model == RANDOM_MODEL:
             self._take_policy(RandomPolicy(DUMMY_SPACE))
         elif settings.model != NO_MODEL:
             self._take_policy(load_policy(find_model(settings.model), device=self._device))
-        stamped = settings.cmd_vel_stamped
         self._cmd_vel = self.publisher(
-            topics.CMD_VEL, type_name=None if stamped else 'geometry_msgs/msg/Twist')
+            topics.CMD_VEL,
+            type_name=None if settings.cmd_vel_stamped else 'geometry_msgs/msg/Twist')
         self._q_values = self.publisher(topics.Q_VALUES)
         # only the newest matters: an old image has no use any more, nor have old weights
-        self.subscription(topics.IMAGE, self._on_image, eager=True, newest=True)
-        if settings.hot_swap:
-            self.subscription(
-                topics.WEIGHTS, self._on_weights, depth=WEIGHTS_DEPTH, newest=True)
-        self._last_image = time.monotonic()
+        self._images = self.subscription(
+            topics.IMAGE, self._on_image, eager=True, newest=True,
+            type_name='sensor_msgs/msg/CompressedImage' if settings.camera_compressed else None)
+        self._weights = self.subscription(
+            topics.WEIGHTS, self._on_weights, depth=WEIGHTS_DEPTH, newest=True,
+        ) if settings.hot_swap else None
+        self.create_service(SetBool, '~/enable', self._on_enable)
+        self._enabled = True
+        self._last_image: float | None = None
         self._halted = True
+        self._stale = False
         self._connected = False
         if settings.stale_after:
             self.create_timer(settings.stale_after / 2, self._watch_images)
@@ -77,9 +93,17 @@ class DqnPolicyNode(NodeShell):
     def _take_policy(self, policy: Policy | RandomPolicy) -> None:
         policy.reset(self.settings.seed)
         policy.epsilon = self.settings.epsilon
-        self._pilot = Pilot(policy, int(self.settings.scene_gap * NANOSECONDS))
+        height = width = FRAME_SIDE
+        if policy.description is not None:
+            preprocessing = policy.description.preprocessing
+            height, width = preprocessing.frame_height, preprocessing.frame_width
+        self._camera = Camera(self.settings, height, width)
+        self._pilot = Pilot(policy, int(self.settings.sequence_gap * NANOSECONDS))
+        self._run: object = None
 
     def _on_image(self, message: object) -> None:
+        if not self._enabled:
+            return
         if self._pilot is None:
             self.counts['images_without_weights'] += 1
             return
@@ -90,27 +114,19 @@ class DqnPolicyNode(NodeShell):
                 # a simulator in lockstep sends the frame again
                 self.counts['images_before_connected'] += 1
                 return
-        frame = image_to_array(message)
+        stamp = to_nanoseconds(message.header.stamp)
         try:
-            answer = self._pilot.answer(to_nanoseconds(message.header.stamp), frame)
+            answer = self._pilot.answer(
+                stamp, self._camera.frame(message), time.monotonic_ns())
         except BridgeError as error:
             raise MessageError(str(error)) from None
-        self._last_image, self._halted = time.monotonic(), False
+        self._last_image, self._halted, self._stale = time.monotonic(), False, False
         self.counts['images'] += 1
-        self._send(answer.command, message.header.stamp)
-        decision = answer.decision
-        if decision is None:
-            return
-        self.counts['decisions'] += 1
-        policy = self._pilot.policy
-        values = {}
-        if decision.q_values is not None:
-            values.update(zip(policy.action_names, decision.q_values))
-        values['chosen'] = decision.index
-        values['explored'] = decision.explored
-        values['weights_version'] = policy.version
-        self._q_values.publish(fill_named_values(
-            JointState(), values, to_nanoseconds(message.header.stamp)))
+        self._send(self._commands.twist(answer.command, self._pilot.elapsed / NANOSECONDS),
+                   message.header.stamp)
+        if answer.decided:
+            self.counts['decisions'] += 1
+            self._publish_values(answer, stamp)
 
     def _send(self, command: Command, stamp: object | None) -> None:
         if not self.settings.cmd_vel_stamped:
@@ -119,29 +135,66 @@ class DqnPolicyNode(NodeShell):
         message = TwistStamped()
         if stamp is not None:
             message.header.stamp = stamp
+        message.header.frame_id = self.settings.frame_id
         fill_twist(message.twist, command)
         self._cmd_vel.publish(message)
 
-    def _watch_images(self) -> None:
-        """Send one zero twist, stamped zero, when the images have stopped."""
-        if not self._halted and time.monotonic() - self._last_image > self.settings.stale_after:
+    def _publish_values(self, answer: Answer, stamp: int) -> None:
+        policy = self._pilot.policy
+        values = {}
+        if answer.q_values is not None:
+            values.update(zip(policy.action_names, answer.q_values))
+        values['chosen'] = answer.index
+        values['explored'] = answer.explored
+        values['weights_version'] = policy.version
+        self._q_values.publish(fill_named_values(JointState(), values, stamp))
+
+    def _halt(self) -> None:
+        """Send one zero twist, stamped zero, if the last one was another."""
+        if not self._halted:
             self._halted = True
+            self._send(self._commands.stop(), None)
+
+    def _watch_images(self) -> None:
+        """Stop when the images have stopped."""
+        if not self._halted and time.monotonic() - self._last_image > self.settings.stale_after:
+            self._stale = True
             self.counts['stale_images'] += 1
             self.get_logger().warn(f'no image for {self.settings.stale_after:g} s: zero twist')
-            self._send(STOP, None)
+            self._halt()
+
+    def _on_enable(
+        self, request: SetBool.Request, response: SetBool.Response,
+    ) -> SetBool.Response:
+        self._enabled = request.data
+        if not self._enabled:
+            # whatever was sent before, and by whomever
+            self._halted = False
+            self._halt()
+        response.success = True
+        response.message = 'enabled' if self._enabled else 'disabled'
+        self.get_logger().info(response.message)
+        return response
 
     def _on_weights(self, message: object) -> None:
         """Swap in new weights between two decisions."""
-        if isinstance(self._pilot, Pilot) and isinstance(self._pilot.policy, RandomPolicy):
+        if self._pilot is not None and isinstance(self._pilot.policy, RandomPolicy):
             return
         try:
             description = self._pilot.policy.description if self._pilot else None
             update = decode_weights(bytes(message.data), description)
+            run = update.extra.get('run')
             if self._pilot is None:
                 self._take_policy(Policy(update.description, device=self._device))
+            elif self._run == run and self.counts['weight_swaps'] and (
+                    update.version < self._pilot.policy.version):
+                # another trainer, or what it left; a new run says so
+                raise MessageError(f'version {update.version} is older than '
+                                   f'{self._pilot.policy.version}, which is at work')
             self._pilot.policy.swap_weights(update)
         except BridgeError as error:
             raise MessageError(str(error)) from None
+        self._run = run
         if not self.settings.explore:
             self._pilot.policy.epsilon = self.settings.epsilon
         self.counts['weight_swaps'] += 1
@@ -152,13 +205,47 @@ class DqnPolicyNode(NodeShell):
             self._pilot.policy.epsilon = self.settings.epsilon
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
-        """Return what drives and how often it has answered."""
+        """Return what drives and how often it has answered, or why nothing drives."""
+        problem = self._problem()
+        level = DiagnosticStatus.OK if problem is None else DiagnosticStatus.WARN
+        values: dict[str, object] = {'enabled': self._enabled}
+        if self._pilot is not None:
+            policy = self._pilot.policy
+            values.update(
+                weights_version=policy.version, epsilon=float(policy.epsilon),
+                sequences=self._pilot.sequences)
+        return level, problem or 'driving', values
+
+    def _problem(self) -> str | None:
+        """Return why nothing drives, None if something does."""
+        if not self._enabled:
+            return 'disabled by ~/enable'
         if self._pilot is None:
-            return DiagnosticStatus.WARN, 'waiting for weights', {}
-        policy = self._pilot.policy
-        return DiagnosticStatus.OK, 'driving', {
-            'weights_version': policy.version, 'epsilon': float(policy.epsilon),
-            'scenes': self._pilot.scenes}
+            if self._weights is not None and self._weights.publishers:
+                return 'waiting for weights'
+            return 'waiting for weights, which nobody publishes'
+        if self._stale:
+            return f'stopped: no image for {time.monotonic() - self._last_image:.0f} s'
+        if self._last_image is None or time.monotonic() - self._last_image > SILENCE_SECONDS:
+            return self._silence()
+        if not self._cmd_vel.get_subscription_count():
+            return f'nobody hears {self._cmd_vel.topic_name}'
+        return None
+
+    def _silence(self) -> str:
+        """Return why no image has been answered for a while."""
+        name = self._images.name
+        if not self._images.publishers:
+            return f'no image: nobody publishes {name}'
+        if len(self._images.unheard) == self._images.publishers:
+            return f'no image: nothing that is published on {name} fits'
+        if self.refused_lately(topics.IMAGE):
+            return 'no image that can be used'
+        if not self._connected:
+            return f'waiting for {self.settings.wait_for_subscribers} subscriptions of cmd_vel'
+        if self._last_image is None:
+            return 'no image yet'
+        return f'no image for {time.monotonic() - self._last_image:.0f} s'
 
 
 def main(args: list[str] | None = None) -> int:

@@ -3,68 +3,66 @@
 """
 Answers images by their stamps, whatever their rate: new decision, held action or resent frame.
 
-The policy needs no word from the simulator on where an episode begins: a gap in the stamps is a
-new scene, in any simulator.
+The policy needs no word from the simulator on where an episode begins; `image_time` has the rule.
 """
 from __future__ import annotations
 
-import dataclasses
-
-from dqn_policy_node.policy import Decision, Policy
+from dqn_policy_node.action_hold import ActionHold
+from dqn_policy_node.image_time import ImageTime, Place
+from dqn_policy_node.policy import Answer, Policy, RandomPolicy
 from msgs_bridge.stamps import NANOSECONDS
-from msgs_bridge.twists import Command
 import numpy as np
-
-FRAME_NANOSECONDS = NANOSECONDS // 50
-# a camera's stamps may jitter by this much before a decision slips by one frame
-JITTER_NANOSECONDS = FRAME_NANOSECONDS // 2
-
-
-@dataclasses.dataclass(frozen=True)
-class Answer:
-    """The command for one image, and the decision if this image led to a new one."""
-
-    command: Command
-    decision: Decision | None
 
 
 class Pilot:
-    """Drives one policy by stamped images."""
+    """
+    Drives one policy by stamped images.
 
-    def __init__(self, policy: Policy, scene_gap: int = NANOSECONDS // 2) -> None:
-        """Start without a scene; `scene_gap` in ns is the gap that makes a new one."""
+    Attributes:
+        policy: what decides.
+        sequences: how many there were; each begins with an empty stack of frames.
+        elapsed: ns from the image before to the newest, 0 if that is none that follows it.
+    """
+
+    def __init__(
+        self, policy: Policy | RandomPolicy, sequence_gap: int = NANOSECONDS // 2,
+    ) -> None:
+        """Start without an image; a gap of `sequence_gap` ns begins a new sequence."""
         self.policy = policy
-        self.scene_gap = scene_gap
-        self.scenes = 0
-        self._stamp: int | None = None
-        self._due = 0
-        self._decided = 0
+        self.sequences = 0
+        self.elapsed = 0
+        self._time = ImageTime(sequence_gap)
+        self._hold = ActionHold()
+        self._frame: np.ndarray | None = None
+        self._now = self._decided = 0
         self._answer: Answer | None = None
 
-    def answer(self, stamp: int, frame: np.ndarray) -> Answer:
+    def answer(self, stamp: int, frame: np.ndarray, arrived: int) -> Answer:
         """
-        Return the action for an image.
+        Return the answer to an image.
 
         Args:
-            stamp: of the image, ns; one that was answered before gets the same answer.
-            frame: uint8 (H, W, 3) rgb.
+            stamp: of the image, ns.
+            frame: uint8 (frame_height, frame_width, 3) rgb, not changed afterwards.
+            arrived: when it came by a clock that never goes back, ns.
 
         Raises:
             BridgeError: the frame is not of the size the model takes.
         """
-        if stamp == self._stamp and self._answer is not None:
-            return self._answer
-        if self._stamp is None or not 0 < stamp - self._stamp <= self.scene_gap:
+        place, self.elapsed = self._time.place(
+            stamp, arrived, lambda: np.array_equal(frame, self._frame))
+        if place in (Place.AGAIN, Place.LATE) and self._answer is not None:
+            return self._answer if place is Place.AGAIN else self._answer.held()
+        self._frame = frame
+        self._now += self.elapsed
+        if place is not Place.NEXT or self._answer is None:
+            self.sequences += 1
             self.policy.reset()
-            self.scenes += 1
-            self._due = self._decided = stamp
-        if stamp >= self._due - JITTER_NANOSECONDS:
-            elapsed = round((stamp - self._decided) / FRAME_NANOSECONDS)
-            decision = self.policy.decide(frame, elapsed)
-            self._decided = stamp
-            self._due = stamp + self.policy.action_repeat * FRAME_NANOSECONDS
-            self._answer = Answer(decision.command, decision)
+            self._hold.reset()
+            self._answer, self._decided = None, self._now
+        if self._hold.is_due(self._now, round(self.policy.action_seconds * NANOSECONDS)):
+            self._answer = self.policy.decide(frame, self._now - self._decided)
+            self._decided = self._now
         else:
-            self._answer = Answer(self._answer.command, None)
-        self._stamp = stamp
+            self._answer = self._answer.held()
         return self._answer

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
+from dqn_policy_node.action_hold import ActionHold
 from dqn_policy_node.action_space import ActionSpace
 from dqn_policy_node.errors import ModelError
 from dqn_policy_node.frame_stack import FrameStack
@@ -17,72 +18,102 @@ from dqn_policy_node.model_folder import load_model
 from dqn_policy_node.network import QNetwork
 from dqn_policy_node.preprocessing import Preprocessor
 from dqn_policy_node.weights_message import WeightsUpdate
+from msgs_bridge.stamps import NANOSECONDS
 from msgs_bridge.twists import Command
 
 # of the lengths of explorations: three of five last one decision, one of six four or more
 ZETA_EXPONENT = 2.0
-# seconds of a frame of CarRacing
-FRAME_SECONDS = 0.02
+# of `act`, unless somebody says otherwise
+CARRACING_FRAME_SECONDS = 0.02
 
 
-class Decision(NamedTuple):
+class Answer(NamedTuple):
     """
-    One choice of a policy.
+    What a policy answers to a frame.
 
     Attributes:
         index: place of the action in the action space.
         command: what it means.
         q_values: float32 (actions,), or None when nothing computed them.
         explored: whether it was drawn at random.
+        decided: whether this frame was decided on; otherwise an action is held.
     """
 
     index: int
     command: Command
     q_values: np.ndarray | None
     explored: bool
+    decided: bool = True
+
+    def held(self) -> Answer:
+        """Return the answer to frames in which its action is held."""
+        return self._replace(decided=False) if self.decided else self
 
 
-class _HeldAction:
-    """What all policies share: an action is decided on and then held for some frames."""
+class _Acting:
+    """
+    What all policies share: an action is decided on and then held.
+
+    Attributes:
+        action_space: what it chooses from.
+        action_seconds: for how long an action is held; 0: every frame is decided on.
+        frame_seconds: between the frames that `act` gets.
+    """
 
     action_space: ActionSpace
-    action_repeat: int
+    action_seconds: float
+    frame_seconds = CARRACING_FRAME_SECONDS
 
     def __init__(self) -> None:
-        self._held: Command | None = None
-        self._frames_left = 0
+        self._hold = ActionHold()
+        self._frames = 0
+        self._command: Command | None = None
 
     @property
     def action_names(self) -> tuple[str, ...]:
         """Return the name of each action."""
         return self.action_space.names
 
+    @property
+    def action_repeat(self) -> int:
+        """Return for how many frames of `act` an action is held, at least 1; can be set."""
+        return max(1, round(self.action_seconds / self.frame_seconds))
+
+    @action_repeat.setter
+    def action_repeat(self, frames: int) -> None:
+        self.action_seconds = frames * self.frame_seconds
+
     def act(self, frame: np.ndarray) -> Command:
         """
-        Return the command for one simulator step.
+        Return the command for one frame of a simulator.
 
         Args:
-            frame: uint8 (96, 96, 3) rgb, one for every simulator step (50 a second). Those in
+            frame: uint8 (frame_height, frame_width, 3) rgb, one every `frame_seconds`. Those in
                 which an action is held are not looked at.
         """
-        if self._frames_left == 0:
-            self._held = self.decide(frame).command
-            self._frames_left = self.action_repeat
-        self._frames_left -= 1
-        return self._held
+        now = round(self._frames * self.frame_seconds * NANOSECONDS)
+        self._frames += 1
+        if self._hold.is_due(now, round(self.action_seconds * NANOSECONDS)):
+            self._command = self.decide(frame).command
+        return self._command
 
-    def decide(self, frame: np.ndarray, elapsed: int | None = None) -> Decision:
-        """Return the decision on a frame."""
+    def decide(self, frame: np.ndarray, elapsed: int | None = None) -> Answer:
+        """Return the decision on a frame, `elapsed` ns after the one before."""
         raise NotImplementedError
 
+    def _begin(self) -> None:
+        """Forget the action that is held."""
+        self._hold.reset()
+        self._frames = 0
 
-class Policy(_HeldAction):
+
+class Policy(_Acting):
     """
     Acts epsilon-greedily by a Q-network.
 
     Attributes:
         description: what the model is.
-        action_repeat: frames for which `act` holds an action; the model's own at first.
+        action_seconds: for how long an action is held; the model's own at first.
         epsilon: share of random actions, 0 = always the best.
         gas_weight: how much likelier than others a random action is one with gas.
         exploration_hold: most decisions for which a random action is held; how many is drawn
@@ -97,7 +128,7 @@ class Policy(_HeldAction):
         super().__init__()
         self.description = description
         self.action_space = description.action_space
-        self.action_repeat = round(description.action_seconds / FRAME_SECONDS)
+        self.action_seconds = description.action_seconds
         self.epsilon = 0.0
         self.gas_weight = 1.0
         self.exploration_hold = 1
@@ -109,35 +140,35 @@ class Policy(_HeldAction):
         self._preprocess = Preprocessor(description.preprocessing)
         self._stack = FrameStack(
             description.frame_stack, description.preprocessing.shape,
-            round(description.stack_seconds / FRAME_SECONDS))
+            round(description.stack_seconds * NANOSECONDS))
         self._random = np.random.default_rng(seed)
         self._has_gas = np.array([command.linear > 0 for command in self.action_space.commands])
 
     def reset(self, seed: int | None = None) -> None:
         """Start an episode: forget frames and held action; a seed restarts the exploration."""
+        self._begin()
         self._stack.reset()
-        self._held, self._frames_left = None, 0
         self._explorations_left = 0
         if seed is not None:
             self._random = np.random.default_rng(seed)
 
-    def decide(self, frame: np.ndarray, elapsed: int | None = None) -> Decision:
+    def decide(self, frame: np.ndarray, elapsed: int | None = None) -> Answer:
         """
         Push a frame on the stack and choose an action.
 
         Args:
-            frame: uint8 (96, 96, 3) rgb.
-            elapsed: simulator frames since the last decision; None for `action_repeat`.
+            frame: uint8 (frame_height, frame_width, 3) rgb.
+            elapsed: ns since the last decision; None for `action_seconds`.
 
         Raises:
             MessageError: the frame has another shape or type.
         """
         if elapsed is None:
-            elapsed = self.action_repeat
+            elapsed = round(self.action_seconds * NANOSECONDS)
         q_values = self.q_values(self._stack.push(self._preprocess(frame), elapsed))
         explored = self._explores()
         index = self._explored_index if explored else self.action_space.greedy(q_values)
-        return Decision(index, self.action_space.decode(index), q_values, bool(explored))
+        return Answer(index, self.action_space.decode(index), q_values, bool(explored))
 
     @torch.inference_mode()
     def q_values(self, observations: np.ndarray) -> np.ndarray:
@@ -182,16 +213,17 @@ class Policy(_HeldAction):
             np.cumsum(weights) / weights.sum(), self._random.random(), side='right'))
 
 
-class RandomPolicy(_HeldAction):
+class RandomPolicy(_Acting):
     """Draws every action uniformly: the report's dummy agent (3.2.3)."""
 
     def __init__(
-        self, action_space: ActionSpace, *, action_repeat: int = 1, seed: int | None = None,
+        self, action_space: ActionSpace, *, action_seconds: float = 0.0,
+        seed: int | None = None,
     ) -> None:
-        """Draw from a space, a new action every `action_repeat` frames."""
+        """Draw from a space, a new action every `action_seconds`; 0: at every frame."""
         super().__init__()
         self.action_space = action_space
-        self.action_repeat = action_repeat
+        self.action_seconds = action_seconds
         self.epsilon = 1.0
         self.version = 0
         self.description = None
@@ -199,14 +231,14 @@ class RandomPolicy(_HeldAction):
 
     def reset(self, seed: int | None = None) -> None:
         """Start an episode; a seed restarts the draws."""
-        self._held, self._frames_left = None, 0
+        self._begin()
         if seed is not None:
             self._random = np.random.default_rng(seed)
 
-    def decide(self, frame: np.ndarray, elapsed: int | None = None) -> Decision:
+    def decide(self, frame: np.ndarray, elapsed: int | None = None) -> Answer:
         """Draw an action whatever the frame shows."""
         index = int(self._random.integers(len(self.action_space)))
-        return Decision(index, self.action_space.decode(index), None, True)
+        return Answer(index, self.action_space.decode(index), None, True)
 
 
 def load_policy(

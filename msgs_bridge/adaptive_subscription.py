@@ -68,6 +68,7 @@ class AdaptiveSubscription:
     Attributes:
         name: the topic as it is known in the graph, remapped.
         counts: `skipped`, `lost` (by the middleware) and `deaf` (made anew after silence).
+        publishers: how many there are, of whatever type.
         unheard: a text for each publisher from which nothing comes, and why.
         qos: what is asked for now.
     """
@@ -95,6 +96,7 @@ class AdaptiveSubscription:
         """
         self.name = node.resolve_topic_name(topic)
         self.counts: Counter[str] = Counter()
+        self.publishers = 0
         self.unheard: list[str] = []
         self.qos = qos
         self._node, self._topic = node, topic
@@ -134,6 +136,7 @@ class AdaptiveSubscription:
     def watch(self) -> None:
         """Look at the graph and be made anew if need be; to be called twice a second or so."""
         publishers = publishers_of(self._node, self.name)
+        self.publishers = len(publishers)
         if publishers:
             self._fit(publishers)
         self.unheard = unheard_publishers(publishers, self._type_name, self.qos)

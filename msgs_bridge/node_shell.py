@@ -95,7 +95,7 @@ class NodeShell(Node):
         self._topic_publishers: list[tuple[Topic, Publisher]] = []
         self._eager: list[AdaptiveSubscription] = []
         self._bell: Bell | None = None
-        self._warnings: dict[str, float] = {}
+        self._warnings: dict[str, tuple[str, float]] = {}
         self._told: set[str] = set()
         self._settings_class = settings_class
         self.settings, self.shell = declare_settings(
@@ -156,8 +156,7 @@ class NodeShell(Node):
                 callback(message)
             except MessageError as error:
                 self.counts[f'rejected_{topic.name}'] += 1
-                self.get_logger().warn(
-                    f'{topic.name}: {plain(error, VALUE_LENGTH)}', throttle_duration_sec=5.0)
+                self.warn_of(topic.name, plain(error, VALUE_LENGTH))
 
         if eager and self.shell.fast_transport and self._bell is None:
             self._bell = Bell()
@@ -221,17 +220,24 @@ class NodeShell(Node):
         """Return level, summary and values for the diagnostics; nodes add theirs."""
         return DiagnosticStatus.OK, 'running', {}
 
-    def warn_of(self, what: str) -> None:
-        """Log something that has happened, and warn of it in the diagnostics for a while."""
-        self._warnings[what] = time.monotonic() + WARN_SECONDS
-        self.get_logger().warn(what, throttle_duration_sec=5.0)
+    def warn_of(self, what: str, text: str) -> None:
+        """Log (throttled) what has happened to something, and warn of it for a while."""
+        self._warnings[what] = text, time.monotonic() + WARN_SECONDS
+        self.get_logger().warn(f'{what}: {text}', throttle_duration_sec=5.0)
+
+    def refused_lately(self, topic: Topic) -> bool:
+        """Return whether a message of a topic was refused within the last seconds."""
+        _, until = self._warnings.get(topic.name, ('', 0.0))
+        return until > time.monotonic()
 
     def publish_diagnostics(self) -> None:
         """Publish the health of this node, what does not fit in the graph and what was counted."""
         level, summary, values = self.health()
         now = time.monotonic()
-        self._warnings = {what: until for what, until in self._warnings.items() if until > now}
-        troubles = [*self._misfits(), *self._warnings]
+        # of a copy, for other threads may warn meanwhile
+        troubles = [*self._misfits(), *(
+            f'{what}: {text}' for what, (text, until) in list(self._warnings.items())
+            if until > now)]
         if troubles:
             level = max(level, DiagnosticStatus.WARN)
             summary = '; '.join([summary, *troubles])
@@ -262,7 +268,7 @@ class NodeShell(Node):
             deaf = subscription.counts['deaf']
             subscription.watch()
             if subscription.counts['deaf'] > deaf:
-                self.warn_of(f'{topic}: nothing was heard after losses, subscribed anew')
+                self.warn_of(topic, 'nothing was heard after losses, subscribed anew')
 
     def _misfits(self) -> list[str]:
         """Return a text for every end of a topic that does not fit ours; log what is new."""

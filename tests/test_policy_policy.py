@@ -130,7 +130,7 @@ def test_load_policy_is_greedy_and_has_the_version(tmp_path):
 
 
 def test_the_dummy_agent_draws_all_actions_alike():
-    policy = RandomPolicy(ACTION_SPACES['seed5'], action_repeat=1, seed=3)
+    policy = RandomPolicy(ACTION_SPACES['seed5'], seed=3)
     frame = frames(1)[0]
     counts = np.bincount([policy.decide(frame).index for _ in range(1000)], minlength=5)
     assert counts.min() > 150
