@@ -1,0 +1,84 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""Every fault that is tried: what, where, and what is expected. Adding one is adding a row."""
+from __future__ import annotations
+
+import dataclasses
+
+YES, NO, EITHER = True, False, None
+
+
+@dataclasses.dataclass(frozen=True)
+class MessageCase:
+    """
+    A fault of `relay.KINDS` on a topic.
+
+    Attributes:
+        kind, topic: what and where.
+        told: whether a node's diagnostics must rise above OK while it lasts, or must not.
+        drives: whether the car must go on while it lasts.
+        weight: how often it is drawn beside the others.
+    """
+
+    kind: str
+    topic: str
+    told: bool | None = EITHER
+    drives: bool | None = EITHER
+    weight: float = 1.0
+
+
+@dataclasses.dataclass(frozen=True)
+class ProcessCase:
+    """
+    A fault of `process_faults.FAULTS` of a node that runs.
+
+    Attributes:
+        fault, node: what and where.
+        ends: whether the node ends by it and is started again, or must outlive it.
+        told: as above.
+        weight: as above.
+    """
+
+    fault: str
+    node: str
+    ends: bool | None = YES
+    told: bool | None = EITHER
+    weight: float = 1.0
+
+
+def _messages(topic: str, drives: bool | None, told: dict[str, bool | None],
+              weight: float) -> list[MessageCase]:
+    kinds = ('off', 'stuck', 'garbage', 'wrong', 'slow', 'delayed', 'duplicated', 'reordered',
+             'intermittent', 'flooding')
+    return [MessageCase(kind, topic, told.get(kind, EITHER), drives, weight) for kind in kinds]
+
+
+REFUSED = {'garbage': YES, 'wrong': YES}
+
+MESSAGES = [
+    # the loop of the drive: who misses an image or a twist stands and says so
+    *_messages('image_raw', EITHER, {**REFUSED, 'off': YES, 'stuck': YES}, 3),
+    *_messages('cmd_vel', EITHER, {**REFUSED, 'off': YES, 'stuck': YES}, 3),
+    # only learning hangs on these
+    *_messages('step', YES, {**REFUSED, 'off': YES, 'stuck': YES}, 3),
+    *_messages('weights', YES, REFUSED, 2),
+    *_messages('validation', YES, {}, 1),
+    # nobody acts on these; they are shown and recorded
+    *_messages('episode', YES, {}, 0.5),
+    *_messages('q_values', YES, {}, 0.5),
+    *_messages('reward', YES, {}, 0.5),
+    *_messages('/clock', YES, {}, 0.5),
+    *_messages('/diagnostics', YES, {}, 0.5),
+]
+
+NODES = ('simulator', 'policy', 'trainer', 'recorder', 'validator')
+
+PROCESSES = [
+    *[ProcessCase(fault, node) for node in NODES
+      for fault in ('kill', 'terminate', 'hang up', 'interrupt')],
+    *[ProcessCase('stop and continue', node, NO) for node in NODES],
+    *[ProcessCase('few descriptors', node, NO) for node in NODES],
+    ProcessCase('out of disk', 'recorder', YES),
+    ProcessCase('out of disk', 'trainer', EITHER, YES),
+    ProcessCase('out of disk', 'simulator', NO),
+]
