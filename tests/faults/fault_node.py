@@ -4,7 +4,8 @@
 fault_node: stands between those who publish topics of the contract and those who subscribe.
 
 Purpose: be the fault. Whoever publishes `NAME` is started with the remap `NAME:=NAME_upstream`;
-this node subscribes to that and publishes `NAME`, byte by byte as it came, until it is told not to.
+this node subscribes to that and publishes `NAME`, byte by byte as it came, until it is told not
+to.
 
 Parameters: `topics`, names of the contract separated by commas, read at the start; and `fault`,
 "TOPIC KIND SECONDS SEED", which begins one of `relay.KINDS` when it is set and ends it by itself:

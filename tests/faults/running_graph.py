@@ -7,10 +7,13 @@ from collections import deque
 import dataclasses
 import os
 from pathlib import Path
+import signal
 import time
 
 from carracing_dqn.bringup.processes import node_command
+from faults import bags_left
 from faults.fault_node import UPSTREAM
+from faults.outcome import Outcome
 from graph_probe import Graph
 from msgs_bridge import topics
 from msgs_bridge.message_types import message_class
@@ -61,6 +64,11 @@ class Word:
     level: int
     summary: str
     values: dict[str, str]
+
+    @property
+    def lasting(self) -> bool:
+        """Return whether it says what cannot be well again: what a bag lacks it lacks for good."""
+        return 'messages were lost' in self.summary
 
 
 class RunningGraph(Graph):
@@ -144,7 +152,7 @@ class RunningGraph(Graph):
             word = self.word(role)
             if word is None or now - word.at > FRESH_SECONDS:
                 return f'{role} says nothing'
-            if word.level != 0:
+            if word.level != 0 and not word.lasting:
                 return f'{role} says {word.summary!r}'
             if word.at < since and role != 'validator':
                 return f'{role} has not spoken since'
@@ -156,9 +164,14 @@ class RunningGraph(Graph):
         return ''
 
     def levels(self, begin: float, end: float) -> list[str]:
-        """Return who said more than OK in a span of time, and what."""
-        return [f'{role}: {word.summary}' for role in NODES for word in self.said[role]
-                if begin < word.at < end and word.level != 0]
+        """Return who said more than OK in a span of time, and what; not what lasts from before."""
+        found = []
+        for role, words in self.said.items():
+            before = [word for word in words if word.at <= begin and word.lasting]
+            found += [f'{role}: {word.summary}' for word in words
+                      if begin < word.at < end and word.level != 0
+                      and not (word.lasting and before)]
+        return found
 
     def wait_until_well(self, seconds: float, *, since: float = 0.0, rate: float = 4.0) -> float:
         """
@@ -232,3 +245,20 @@ class RunningGraph(Graph):
         self.spin_until(future.done, 10, 'fault_node answers')
         result = future.result().results[0]
         assert result.successful, result.reason
+
+    def end(self) -> Outcome:
+        """Stop every node as Ctrl-C does and look at what is left."""
+        outcome = Outcome('process', 'interrupt', 'everything', 0)
+        logged = self.logged()
+        began = time.monotonic()
+        recorder = self.children['recorder']
+        self.__exit__()
+        outcome.seconds = time.monotonic() - began
+        outcome.problems += self.log_problems(logged)
+        for name, child in self.children.items():
+            if child.code not in (0, 130, -signal.SIGINT) and name != 'fault_node':
+                outcome.problems.append(f'{name} ended with {child.code}')
+        outcome.said = ' '.join(list(recorder.words)[-1:])
+        for bag in sorted(self.folder.glob('bag*')):
+            outcome.problems += bags_left.what_is_wrong(bag, self.folder)
+        return outcome

@@ -82,3 +82,69 @@ PROCESSES = [
     ProcessCase('out of disk', 'trainer', EITHER, YES),
     ProcessCase('out of disk', 'simulator', NO),
 ]
+
+
+@dataclasses.dataclass(frozen=True)
+class FileCase:
+    """
+    A fault of `file_faults` of a file; the commands that read it must say what is wrong.
+
+    Attributes:
+        fault, file: what and where.
+        weight: as above.
+    """
+
+    fault: str
+    file: str
+    weight: float = 1.0
+
+
+FILES = [
+    FileCase(fault, file, weight)
+    for file, weight in (
+        ('bag', 3), ('bag metadata', 1), ('checkpoint', 3), ('weights', 1),
+        ('model description', 1), ('preset', 1), ('run config', 1), ('run record', 0.5),
+        ('episodes table', 0.5))
+    for fault in ('cut', 'flip', 'splice', 'swap', 'lie')]
+
+
+@dataclasses.dataclass(frozen=True)
+class CommandCase:
+    """
+    A fault of a whole command.
+
+    Attributes:
+        fault: signal, limit, removed folder, or kind of message from a stranger.
+        command: run or train.
+        part: node that the signal is sent to, topic of the stranger, or 'starting'.
+        codes: exit codes that are right.
+        weight: as above.
+    """
+
+    fault: str
+    command: str
+    part: str = ''
+    codes: tuple[int, ...] = (2,)
+    weight: float = 1.0
+
+
+COMMANDS = [
+    *[CommandCase(fault, command, part, codes)
+      for command in ('run', 'train') for part in ('', 'starting')
+      for fault, codes in (('kill', (-9,)), ('terminate', (130, 143, -15)),
+                           ('hang up', (129, 130, -1)), ('interrupt', (130, -2)))],
+    *[CommandCase(fault, command, node)
+      for command, nodes in (('run', ('simulator', 'policy', 'recorder')),
+                             ('train', ('simulator', 'policy', 'trainer', 'recorder')))
+      for node in nodes for fault in ('kill', 'terminate')],
+    *[CommandCase('folder removed', command, weight=2) for command in ('run', 'train')],
+    *[CommandCase('few descriptors', command, codes=(0, 2, 130)) for command in ('run', 'train')],
+    *[CommandCase('out of disk', command, codes=(0, 2, 130)) for command in ('run', 'train')],
+    # a library that has no memory ends as it likes, but it ends
+    *[CommandCase('little memory', command, codes=(0, 1, 2, 130), weight=0.5)
+      for command in ('run', 'train')],
+    *[CommandCase(kind, command, topic, (0, 130) if command == 'train' else (0,))
+      for command, names in (('run', ('episode', '/diagnostics', 'image_raw', 'cmd_vel')),
+                             ('train', ('validation', '/diagnostics', 'step', 'weights')))
+      for topic in names for kind in ('garbage', 'wrong')],
+]
