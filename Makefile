@@ -4,7 +4,7 @@ VENV := .venv
 INSTALLED := $(VENV)/.installed
 CARRACING := $(VENV)/bin/carracing
 
-.PHONY: setup run train test lint clean
+.PHONY: setup run train test faults lint clean
 
 setup: $(INSTALLED)
 
@@ -22,6 +22,12 @@ train: setup
 
 test: setup
 	$(VENV)/bin/python -m pytest $(ARGS)
+
+# every kind of fault for MINUTES; what came of it is written below runs/, see docs/reliability.md
+faults: MINUTES = 60
+faults: SEED = 1
+faults: setup
+	PYTHONPATH=tests $(VENV)/bin/python -m faults --minutes $(MINUTES) --seed $(SEED) $(ARGS)
 
 lint: setup
 	$(VENV)/bin/ruff check .

@@ -119,7 +119,12 @@ def _lie_in_header(path: Path, random: Random) -> None:
     data = path.read_bytes()
     length = int.from_bytes(data[:8], 'little')
     header = json.loads(data[8:8 + length])
-    _lie_in(header, random)
+    told = header.get('__metadata__')
+    # most of a header are tensors, most of what is believed stands here
+    _lie_in(told if told and random.random() < 0.8 else header, random)
+    for name, value in (told or {}).items():
+        if not isinstance(value, str):
+            told[name] = json.dumps(value)
     text = json.dumps(header).encode()
     path.write_bytes(len(text).to_bytes(8, 'little') + text + data[8 + length:])
 
