@@ -137,13 +137,14 @@ def odd_bundle(message: object, random: Random) -> None:
     """Let a bundle of named values lack, repeat, misname or overstate something."""
     choice = random.randrange(7)
     names, values = list(message.name), list(message.position)
-    index = random.randrange(len(names)) if names else 0
-    if choice == 0 and names:
+    count = min(len(names), len(values))
+    index = random.randrange(count) if count else 0
+    if choice == 0 and count:
         del names[index], values[index]
-    elif choice == 1 and names:
+    elif choice == 1 and count:
         names.append(names[index])
         values.append(values[index])
-    elif choice == 2 and names:
+    elif choice == 2 and count:
         names[index] = random.choice(ODD_TEXTS)
     elif choice == 3:
         values.append(0.0)
@@ -152,7 +153,7 @@ def odd_bundle(message: object, random: Random) -> None:
         values += [0.0] * 1000
     elif choice == 5:
         names, values = [], []
-    elif values:
+    elif count:
         values[index] = random.choice(ODD_FLOATS)
     message.name, message.position = names, values
 
