@@ -84,6 +84,9 @@ class Hyperparameters:
     seed_each_episode: bool = setting(
         False, 'every training episode has a seed of its own, out of the space of training '
         '(msgs_bridge/seeds.py); without it they are the stream of one seed (3.1)')
+    simulator: str = setting(
+        'carracing', 'simulator of the training episodes and of the validation: the name of an '
+        'installed one, or module:Class')
     early_end_frames: int = setting(
         0, 'simulator frames without a new tile that end a training episode; 0 = never',
         low=0, high=100000)
@@ -257,7 +260,10 @@ class Hyperparameters:
             'action_repeat': self.action_repeat,
             'seed': training_seed(self.seed) if self.seed_each_episode else self.seed,
             'seed_each_episode': self.seed_each_episode,
-            'early_end_frames': self.early_end_frames, 'early_end_lap': self.early_end_lap}
+            'simulator': self.simulator,
+            # of CarRacing; other simulators do not know them
+            **{name: value for name in ('early_end_frames', 'early_end_lap')
+               if (value := getattr(self, name))}}
 
     @property
     def validation_seeds(self) -> range:
