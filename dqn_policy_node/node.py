@@ -32,7 +32,7 @@ from dqn_policy_node.pilot import Pilot
 from dqn_policy_node.policy import Answer, load_policy, Policy, RandomPolicy
 from dqn_policy_node.settings import PolicySettings
 from dqn_policy_node.shipped_models import find_model
-from dqn_policy_node.weights_message import decode_weights
+from dqn_policy_node.weights_message import decode_weights, NewestWeights
 from geometry_msgs.msg import Twist, TwistStamped
 from msgs_bridge import topics
 from msgs_bridge.errors import BridgeError, MessageError
@@ -64,6 +64,7 @@ class DqnPolicyNode(NodeShell):
         # one observation at a time gains nothing from a second thread, and takes a core
         torch.set_num_threads(1)
         self._commands = CommandStage(settings)
+        self._newest = NewestWeights()
         if settings.model == RANDOM_MODEL:
             self._take_policy(RandomPolicy(DUMMY_SPACE))
         elif settings.model != NO_MODEL:
@@ -99,7 +100,6 @@ class DqnPolicyNode(NodeShell):
             height, width = preprocessing.frame_height, preprocessing.frame_width
         self._camera = Camera(self.settings, height, width)
         self._pilot = Pilot(policy, int(self.settings.sequence_gap * NANOSECONDS))
-        self._run: object = None
 
     def _on_image(self, message: object) -> None:
         if not self._enabled:
@@ -183,18 +183,12 @@ class DqnPolicyNode(NodeShell):
         try:
             description = self._pilot.policy.description if self._pilot else None
             update = decode_weights(bytes(message.data), description)
-            run = update.extra.get('run')
+            self._newest.check(update)
             if self._pilot is None:
                 self._take_policy(Policy(update.description, device=self._device))
-            elif self._run == run and self.counts['weight_swaps'] and (
-                    update.version < self._pilot.policy.version):
-                # another trainer, or what it left; a new run says so
-                raise MessageError(f'version {update.version} is older than '
-                                   f'{self._pilot.policy.version}, which is at work')
             self._pilot.policy.swap_weights(update)
         except BridgeError as error:
             raise MessageError(str(error)) from None
-        self._run = run
         if not self.settings.explore:
             self._pilot.policy.epsilon = self.settings.epsilon
         self.counts['weight_swaps'] += 1

@@ -3,6 +3,7 @@
 """The `weights` topic: a safetensors image with version, epsilon, description and hash."""
 from __future__ import annotations
 
+from collections import deque
 import dataclasses
 import json
 import math
@@ -19,6 +20,9 @@ FORMAT = 'carracing_dqn weights 2'
 READABLE = ('carracing_dqn weights 1', FORMAT)
 METADATA_KEY = 'carracing_dqn'
 MAX_HOLD = 1000
+MAX_SESSION = 100
+# of trainers that are remembered
+SESSIONS = 100
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,6 +38,8 @@ class WeightsUpdate:
         gas_weight: how much likelier than others a random action is one with gas.
         exploration_hold: most decisions for which a random action is held.
         validate: whether the trainer asks for a validation of this version.
+        session: what the trainer calls this start of its; versions rise within one. Empty in
+            images of before the field.
         extra: further values that the trainer wanted to hand on.
     """
 
@@ -45,6 +51,7 @@ class WeightsUpdate:
     exploration_hold: int = 1
     validate: bool = False
     extra: dict[str, Any] = dataclasses.field(default_factory=dict)
+    session: str = ''
 
 
 def encode_weights(
@@ -57,12 +64,14 @@ def encode_weights(
     exploration_hold: int = 1,
     validate: bool = False,
     extra: dict[str, Any] | None = None,
+    session: str = '',
 ) -> bytes:
     """Return the bytes to publish; `WeightsUpdate` describes the values."""
     record = {
         'format': FORMAT,
         'version': version, 'epsilon': epsilon, 'gas_weight': gas_weight,
         'exploration_hold': exploration_hold, 'validate': validate, 'extra': extra or {},
+        'session': session,
         'description': description.to_json(),
         'description_sha256': description.sha256(),
         'sha256': tensors_sha256(tensors),
@@ -113,6 +122,7 @@ def decode_weights(data: bytes, description: ModelDescription | None = None) -> 
         epsilon, gas_weight = float(record['epsilon']), float(record['gas_weight'])
         # images of before the field have none
         hold = record.get('exploration_hold', 1)
+        session = record.get('session', '')
     except (KeyError, ValueError, TypeError, OverflowError) as error:
         raise ModelError(f'weights image without readable values: {error}') from None
     if type(version) is not int or not 0 <= version < 2**53:
@@ -123,6 +133,36 @@ def decode_weights(data: bytes, description: ModelDescription | None = None) -> 
         raise ModelError(f'weights gas_weight {gas_weight!r}; accepted: above 0, up to 1000')
     if type(hold) is not int or not 1 <= hold <= MAX_HOLD:
         raise ModelError(f'weights exploration_hold {hold!r}; accepted: 1 to {MAX_HOLD}')
-    if type(validate) is not bool or not isinstance(extra, dict):
+    if type(validate) is not bool or not isinstance(extra, dict) or not (
+            isinstance(session, str) and len(session) <= MAX_SESSION):
         raise ModelError('weights image with values of the wrong type')
-    return WeightsUpdate(tensors, own, version, epsilon, gas_weight, hold, validate, extra)
+    return WeightsUpdate(
+        tensors, own, version, epsilon, gas_weight, hold, validate, extra, session)
+
+
+class NewestWeights:
+    """Tells newer weights from what an earlier moment, or an earlier trainer, has left."""
+
+    def __init__(self) -> None:
+        """Start without any."""
+        self._version = -1
+        # in the order in which they came; the last one is at work
+        self._sessions: deque[str] = deque(maxlen=SESSIONS)
+
+    def check(self, update: WeightsUpdate) -> None:
+        """
+        Take note of weights, whose versions rise within a session of a trainer.
+
+        Raises:
+            ModelError: they are older than those before.
+        """
+        if self._sessions and update.session == self._sessions[-1]:
+            if update.version < self._version:
+                raise ModelError(f'weights version {update.version} is older than '
+                                 f'{self._version}, which is at work')
+        elif update.session in self._sessions:
+            raise ModelError(f'weights version {update.version} is of an earlier start of a '
+                             'trainer than the one at work')
+        else:
+            self._sessions.append(update.session)
+        self._version = update.version

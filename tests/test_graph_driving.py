@@ -1,14 +1,17 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
 """Simulator and policy as real processes over real DDS."""
+import sys
+
+from carracing_dqn.bringup.processes import node_command
 from carracing_sim_node import make_env
 from carracing_sim_node.controls import controls
 from dqn_policy_node.action_space import ACTION_SPACES
 from dqn_policy_node.model_description import ModelDescription
 from dqn_policy_node.network import QNetwork
 from dqn_policy_node.weights_message import encode_weights
-from geometry_msgs.msg import TwistStamped
-from graph_probe import kill
+from geometry_msgs.msg import Twist, TwistStamped
+from graph_probe import kill, ROOT
 from msgs_bridge import topics
 from msgs_bridge.images import fill_image
 from msgs_bridge.stamps import set_stamp, to_nanoseconds
@@ -17,6 +20,7 @@ import pytest
 from sensor_msgs.msg import Image
 from std_msgs.msg import UInt8MultiArray
 from std_srvs.srv import SetBool, Trigger
+import torch
 from trainer_node.hyperparameters import Hyperparameters
 
 SIM = ('carracing_sim_node', 'carracing_sim_node')
@@ -268,9 +272,68 @@ def test_parameters_that_are_not_accepted_end_the_node_with_one_line(graph, para
     graph.children.clear()
 
 
+def test_a_robot_that_has_never_heard_of_us_is_driven_by_remaps_and_parameters_alone(graph):
+    twists = []
+    graph.probe.create_subscription(Twist, 'base/command', twists.append, 100)
+    graph.listen(topics.DIAGNOSTICS)
+    parameters = {
+        'cmd_vel_stamped': False, 'linear_scale': 0.4, 'linear_offset': 0.4,
+        'linear_low': 0.0, 'linear_high': 0.8, 'linear_rate': 1.0, 'angular_scale': 1.5,
+        'angular_rate': 6.0, 'camera_crop': '80,0,480,480', 'stale_after': 0.5}
+    graph.start('dqn_policy_node', [
+        *node_command('dqn_policy_node', parameters, graph.namespace),
+        '-r', 'image_raw:=front/image', '-r', 'cmd_vel:=base/command'])
+
+    def summary(words, seconds=20):
+        graph.spin_until(
+            lambda: words in graph.health('dqn_policy_node').get('summary', ''), seconds, words)
+
+    summary('nobody publishes /')
+    robot = graph.start('robot', [
+        sys.executable, str(ROOT / 'tests/foreign_camera.py'), '--ros-args', '-r',
+        f'__ns:=/{graph.namespace}'])
+    graph.spin_until(lambda: len(twists) > 60, 30, 'driven')
+    summary('driving')
+    speeds = np.array([twist.linear.x for twist in twists])
+    turns = np.array([twist.angular.z for twist in twists])
+    assert speeds.min() >= 0 and speeds.max() <= 0.8 and abs(turns).max() <= 1.5
+    # it starts from a stand, at most so fast
+    assert speeds[0] <= 0.1 and np.diff(speeds[:10]).max() < 0.2
+    # who is disabled stops once and says nothing more
+    assert call(graph, SetBool, 'dqn_policy_node/enable', SetBool.Request(data=False)).success
+    summary('disabled')
+    count = len(twists)
+    graph.spin(0.5)
+    assert twists[-1] == Twist() and len(twists) == count
+    assert call(graph, SetBool, 'dqn_policy_node/enable', SetBool.Request(data=True)).success
+    graph.spin_until(lambda: len(twists) > count + 10, 10, 'driven again')
+    assert robot.code is None
+    kill(robot)
+    del graph.children['robot']
+    summary('stopped: no image')
+    assert twists[-1] == Twist()
+    assert graph.health('dqn_policy_node')['stale_images'] == '1'
+
+
+@pytest.mark.parametrize('parameters, words', [
+    ({'device': 'cuda'}, "device is 'cuda', which cannot be used here"),
+    ({'camera_crop': '1,2'}, 'LEFT,TOP,WIDTH,HEIGHT'),
+    ({'linear_low': 2.0, 'linear_high': 1.0}, 'linear_low is 2.0'),
+])
+def test_parameters_of_the_policy_that_cannot_be_are_one_line(graph, parameters, words):
+    if parameters.get('device') == 'cuda' and torch.cuda.is_available():
+        pytest.skip('there is one')
+    child = graph.node(*POLICY, **parameters)
+    assert child.process.wait(60) == 2
+    child._reader.join(2)
+    assert [line for line in child.words if line.startswith('error: ') and words in line]
+    assert not any('Traceback' in line for line in child.words)
+    graph.children.clear()
+
+
 def test_a_missing_model_is_named(graph):
     child = graph.node(*POLICY, model='no_such_model')
-    assert child.process.wait(20) == 2
+    assert child.process.wait(60) == 2
     child._reader.join(2)
     assert any("'no_such_model'" in line for line in child.words)
     graph.children.clear()

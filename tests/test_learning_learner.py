@@ -1,6 +1,8 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
 """The update, with targets worked out by hand, and that it learns."""
+from dqn_policy_node.device import choose_device
+from dqn_policy_node.errors import ModelError
 from learning_cases import tiny
 import numpy as np
 import pytest
@@ -9,7 +11,6 @@ from trainer_node.errors import LearningError
 from trainer_node.learner import LEARNERS, make_learner as learner_of
 from trainer_node.losses import LOSSES
 from trainer_node.replay_buffer import Batch
-from trainer_node.value_learner import choose_device
 
 
 def make_learner(**changes):
@@ -247,5 +248,7 @@ def test_the_figures_are_those_that_were_announced():
 
 def test_a_device_that_is_not_there_is_one_line():
     assert choose_device('auto').type in ('cpu', 'cuda')
-    with pytest.raises(LearningError, match="device 'abacus'"):
-        choose_device('abacus')
+    # the last is a device, of which there are not that many
+    for name in ('abacus', '', 'cuda:63'):
+        with pytest.raises(ModelError, match=f"device is '{name}'.*accepted: auto, cpu, cuda"):
+            choose_device(name)

@@ -16,7 +16,7 @@ from dqn_policy_node.network import QNetwork
 from dqn_policy_node.safetensors_image import pack
 from dqn_policy_node.shipped_models import find_model
 from dqn_policy_node.weights_message import (
-    decode_weights, encode_weights, is_marked,
+    decode_weights, encode_weights, is_marked, NewestWeights, WeightsUpdate,
 )
 from msgs_bridge import atomic_write
 from msgs_bridge.share import share_path
@@ -238,3 +238,22 @@ def test_what_is_no_weights_image_at_all_is_refused(description, tensors):
         decode_weights(b'\xff' * 100)
     with pytest.raises(ModelError, match='not JSON'):
         decode_weights((8).to_bytes(8, 'little') + b'{{{{{{{{')
+
+
+def test_weights_older_than_those_at_work_are_refused_unless_a_trainer_has_begun_anew():
+    newest = NewestWeights()
+
+    def check(version, session='a'):
+        newest.check(WeightsUpdate({}, None, version, session=session))
+
+    for version in (3, 3, 7):
+        check(version)
+    with pytest.raises(ModelError, match='version 6 is older than 7'):
+        check(6)
+    # a trainer that was started again resumes from an earlier version
+    check(4, 'b')
+    with pytest.raises(ModelError, match='earlier start'):
+        check(8)
+    with pytest.raises(ModelError, match='older'):
+        check(3, 'b')
+    check(5, 'b')

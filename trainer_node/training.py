@@ -16,6 +16,7 @@ import dataclasses
 from pathlib import Path
 import time
 from typing import Any
+import uuid
 
 import numpy as np
 
@@ -102,6 +103,8 @@ class Training:
         self._record = RunRecord(
             folder, self.learning.learner.FIGURES, tensorboard=tensorboard)
         self._checkpoint = Checkpoint(folder.checkpoint)
+        # so that a policy tells the weights of this start from those of another
+        self._session = uuid.uuid4().hex
         self._saved_seconds = 0.0
         self._finished = False
         self._failure: LearningError | None = None
@@ -298,7 +301,8 @@ class Training:
         return encode_weights(
             tensors, self.description, version=self.version, epsilon=epsilon,
             gas_weight=self.settings.gas_weight,
-            exploration_hold=self.settings.exploration_hold, validate=validate)
+            exploration_hold=self.settings.exploration_hold, validate=validate,
+            session=self._session)
 
     def record_validation(self, values: Mapping[str, float]) -> bool:
         """

@@ -13,28 +13,12 @@ from typing import Any, ClassVar
 import numpy as np
 import torch
 
+from dqn_policy_node.device import choose_device
 from dqn_policy_node.network import QNetwork
 from trainer_node.errors import LearningError
 from trainer_node.hyperparameters import Hyperparameters
 from trainer_node.losses import LOSSES
 from trainer_node.replay_buffer import Batch
-
-
-def choose_device(name: str) -> torch.device:
-    """
-    Return the device to learn on; 'auto' is CUDA or ROCm when there, the CPU otherwise.
-
-    Raises:
-        LearningError: the device is not there.
-    """
-    if name == 'auto':
-        name = 'cuda' if torch.cuda.is_available() else 'cpu'
-    try:
-        device = torch.device(name)
-        torch.empty(1, device=device)
-    except (RuntimeError, AssertionError) as error:
-        raise LearningError(f'device {name!r}: {str(error).splitlines()[0]}') from None
-    return device
 
 
 class ValueLearner:
