@@ -123,12 +123,22 @@ class Policy(_Acting):
 
     def __init__(
         self, description: ModelDescription, *, device: str = 'cpu', seed: int | None = None,
+        frame_seconds: float = CARRACING_FRAME_SECONDS,
     ) -> None:
-        """Make a policy with random weights; `seed` is that of its exploration."""
+        """
+        Make a policy with random weights.
+
+        Args:
+            description: what the model is.
+            device: where to compute, as PyTorch names it.
+            seed: of its exploration.
+            frame_seconds: simulated seconds of a frame of the simulator that `act` drives.
+        """
         super().__init__()
         self.description = description
         self.action_space = description.action_space
         self.action_seconds = description.action_seconds
+        self.frame_seconds = frame_seconds
         self.epsilon = 0.0
         self.gas_weight = 1.0
         self.exploration_hold = 1
@@ -243,6 +253,7 @@ class RandomPolicy(_Acting):
 
 def load_policy(
     folder: Path | str, device: str = 'cpu', *, seed: int | None = None,
+    frame_seconds: float = CARRACING_FRAME_SECONDS,
 ) -> Policy:
     """
     Return the greedy policy of a model folder.
@@ -251,11 +262,12 @@ def load_policy(
         folder: folder with `model.json` and `weights.safetensors`.
         device: where to compute, as PyTorch names it.
         seed: seed of the exploration, for when `epsilon` is raised.
+        frame_seconds: as `Policy` takes it.
 
     Raises:
         ModelError: the folder cannot be used; the text names the file and what is wrong.
     """
     model = load_model(folder)
-    policy = Policy(model.description, device=device, seed=seed)
+    policy = Policy(model.description, device=device, seed=seed, frame_seconds=frame_seconds)
     policy.swap_weights(WeightsUpdate(model.tensors, model.description, model.version))
     return policy

@@ -106,6 +106,11 @@ def make_steady():
     return Steady()
 
 
+def turn_left(frame):
+    """Be a policy for any simulator."""
+    return 0.0, 1.0
+
+
 def fail(frame):
     """Be a policy with a fault."""
     raise RuntimeError('a fault of its own')

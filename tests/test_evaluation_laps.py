@@ -3,17 +3,21 @@
 """Real laps: both simulators, any number of processes, any policy."""
 import sys
 
-from carracing_sim_node import make_env
 from carracing_dqn.evaluation.errors import EvaluationError, PolicyError
 from carracing_dqn.evaluation.lap_series import drive_laps
 from carracing_dqn.evaluation.laps import drive_lap
 from carracing_dqn.evaluation.policies import parse_policy, PolicySource
-from carracing_dqn.evaluation.simulators import make_simulator
+from carracing_dqn.evaluation.progress import summary_rows
+from carracing_dqn.evaluation.statistics import statistics_of
+from carracing_dqn.evaluation.trajectory import drive_trajectory
 from carracing_dqn.evaluation.validator import validate
 from carracing_dqn.evaluation.workers import run_jobs
+from carracing_dqn.simulation import make_simulator
 from evaluation_cases import ByPixels, lap, Steady
 import gymnasium
+from msgs_bridge.errors import SimulatorError
 from msgs_bridge.step import VALIDATION_FIELDS
+from msgs_bridge.twists import Command
 import numpy as np
 import pytest
 
@@ -21,20 +25,24 @@ FRAMES = 60
 
 
 def stock(frames=FRAMES):
-    return gymnasium.make('CarRacing-v3', max_episode_steps=frames)
+    return make_simulator('gymnasium', {'max_episode_frames': frames})
+
+
+def fast(frames=FRAMES):
+    return make_simulator('fast', {'max_episode_frames': frames})
 
 
 @pytest.mark.parametrize(('action_repeat', 'seed'), [(1, 420), (4, 420), (4, 100_001)])
 def test_gymnasium_and_the_fast_simulator_give_the_same_laps(action_repeat, seed):
     policy = ByPixels(action_repeat)
     theirs = drive_lap(stock(), policy, seed)
-    ours = drive_lap(make_env(max_episode_steps=FRAMES), policy, seed)
+    ours = drive_lap(fast(), policy, seed)
     assert theirs == ours
     assert ours.frames == FRAMES and ours.seed == seed
 
 
 def test_a_lap_counts_what_gymnasium_counts():
-    env = stock(60)
+    env = gymnasium.make('CarRacing-v3', max_episode_steps=60)
     env.reset(seed=7)
     total = 0.0
     for _ in range(60):
@@ -49,7 +57,7 @@ def test_a_lap_counts_what_gymnasium_counts():
 def test_the_car_that_leaves_the_field_has_left_it():
     policy = Steady((0.0, 1.0, 0.0))
     policy.looks_at_frames = False
-    driven = drive_lap(make_env(), policy, 6)
+    driven = drive_lap(fast(1000), policy, 6)
     assert driven.left_field and not driven.lap_finished
     # -0.1 a frame and 1000/N a tile, but -100 alone for the frame that leaves
     earned = driven.tiles_visited * 1000 / driven.tiles_total - 0.1 * (driven.frames - 1) - 100
@@ -57,31 +65,56 @@ def test_the_car_that_leaves_the_field_has_left_it():
 
 
 def test_standing_still_is_counted_to_the_end():
-    driven = drive_lap(make_env(max_episode_steps=200), Steady((0.0, 0.0, 1.0)), 1)
+    driven = drive_lap(fast(200), Steady((0.0, 0.0, 1.0)), 1)
     assert driven.standing_still >= 190
 
 
 def test_only_frames_that_are_looked_at_are_drawn(monkeypatch):
-    env = make_env(max_episode_steps=20)
+    simulator = fast(20)
     drawn = []
-    draw = env.unwrapped._renderer.draw
-    monkeypatch.setattr(env.unwrapped._renderer, 'draw', lambda: drawn.append(1) or draw())
+    draw = simulator.env._renderer.draw
+    monkeypatch.setattr(simulator.env._renderer, 'draw', lambda: drawn.append(1) or draw())
     policy = Steady(action_repeat=4)
-    drive_lap(env, policy, 3)
+    drive_lap(simulator, policy, 3)
     # the reset frame and those after 4, 8, 12, 16 and 20
     assert len(drawn) == 6
     assert len(policy.seen) == 20 and all(frame is not None for frame in policy.seen)
     policy.looks_at_frames = False
     drawn.clear()
-    drive_lap(env, policy, 3)
+    drive_lap(simulator, policy, 3)
     assert len(drawn) == 1
 
 
 @pytest.mark.parametrize('answer', [
-    (float('nan'), 0, 0), (0, 2, 0), (0, 0, -0.1), (1, 2), None, 'left', (0, 0, 0, 0)])
+    (float('nan'), 0, 0), (0, 2, 0), (0, 0, -0.1), (0, 0.5, 0.5), (1, 2), None, 'left',
+    (0, 0, 0, 0), (float('nan'), 0), [0] * 10**6])
 def test_an_answer_that_is_no_action_is_refused(answer):
-    with pytest.raises(PolicyError, match='the policy answered'):
-        drive_lap(make_env(max_episode_steps=5), Steady(answer), 1)
+    with pytest.raises(PolicyError, match='the policy answered') as caught:
+        drive_lap(fast(5), Steady(answer), 1)
+    assert len(str(caught.value)) < 400
+
+
+def test_a_command_and_the_pedals_it_stands_for_give_the_same_lap():
+    pedals = drive_lap(fast(30), Steady((0.2, 0.6, 0.0)), 4)
+    assert pedals == drive_lap(fast(30), Steady((0.6, -0.2)), 4)
+    assert pedals == drive_lap(fast(30), Steady(Command(0.6, -0.2)), 4)
+
+
+def test_an_episode_without_laps_counts_by_return_and_length():
+    toy = make_simulator('toy_simulator:Toy')
+    laps = [drive_lap(toy, Steady((0.0, 1.0)), seed) for seed in range(20)]
+    assert laps == list(drive_laps(PolicySource('evaluation_cases:turn_left'), range(20),
+                                   simulator='toy_simulator:Toy'))
+    assert {lap.lap_finished for lap in laps} == {lap.tiles_total for lap in laps} == {None}
+    numbers = statistics_of(laps)
+    assert numbers.completed is numbers.tiles is numbers.stopped is numbers.left_field is None
+    assert 0 < numbers.frames <= 40 and numbers.maximum > numbers.minimum
+    labels = [label for label, _ in summary_rows(numbers)]
+    assert labels[-1] == 'frames of an episode' and 'laps finished' not in labels
+    values = validate(Steady((0.0, 1.0)), range(20), simulator=toy)
+    assert values['completed'] == 0 and values['mean'] == pytest.approx(numbers.mean)
+    with pytest.raises(EvaluationError, match='has no track'):
+        drive_trajectory(toy, Steady((0.0, 1.0)), 1)
 
 
 def test_processes_do_not_change_the_laps():
@@ -94,14 +127,14 @@ def test_processes_do_not_change_the_laps():
 
 
 def test_an_unknown_simulator_is_refused():
-    with pytest.raises(EvaluationError, match='accepted: gymnasium, fast'):
-        make_simulator('slow')
+    with pytest.raises(SimulatorError, match='accepted: carracing, fast, gymnasium'):
+        list(drive_laps(PolicySource('random'), [1], simulator='slow'))
 
 
 def test_any_policy_that_acts_can_drive():
     for text in ('coast', 'make_steady', 'Steady'):
         policy = parse_policy(f'evaluation_cases:{text}', '').open()
-        assert drive_lap(make_env(max_episode_steps=3), policy, 1).frames == 3
+        assert drive_lap(fast(3), policy, 1).frames == 3
 
 
 @pytest.mark.parametrize(('text', 'message'), [

@@ -4,20 +4,24 @@
 import dataclasses
 
 from carracing_dqn.bringup.command import main as carracing
-from carracing_sim_node import make_env
 from carracing_dqn.evaluation.lap_picture import draw_lap, lap_end, lap_picture
 from carracing_dqn.evaluation.laps import drive_lap
 from carracing_dqn.evaluation.trajectory import drive_trajectory, RecordedActions
+from carracing_dqn.simulation import make_simulator
 from evaluation_cases import ByPixels, lap, Steady
+from msgs_bridge.twists import Command, STOP
 import numpy as np
 from PIL import Image
 import pytest
 
 
+def fast(frames):
+    return make_simulator('fast', {'max_episode_frames': frames})
+
+
 def test_a_trajectory_is_the_lap_it_drew():
-    env = make_env(max_episode_steps=150)
-    trajectory = drive_trajectory(env, Steady((0.0, 1.0, 0.0)), 6)
-    assert trajectory.lap == drive_lap(make_env(max_episode_steps=150), Steady((0, 1, 0)), 6)
+    trajectory = drive_trajectory(fast(150), Steady((0.0, 1.0, 0.0)), 6)
+    assert trajectory.lap == drive_lap(fast(150), Steady((0, 1, 0)), 6)
     assert trajectory.position.shape == (150, 2)
     assert trajectory.reward.sum() == pytest.approx(trajectory.lap.episode_return, abs=1e-5)
     assert trajectory.visited.sum() == trajectory.lap.tiles_visited
@@ -32,7 +36,7 @@ def test_a_trajectory_is_the_lap_it_drew():
 
 
 def test_the_road_lies_under_the_car_at_the_start():
-    trajectory = drive_trajectory(make_env(max_episode_steps=1), Steady((0, 0, 0)), 6)
+    trajectory = drive_trajectory(fast(1), Steady((0, 0, 0)), 6)
     middle = (trajectory.left_edge[0] + trajectory.right_edge[0]) / 2
     assert np.linalg.norm(trajectory.position[0] - middle) < 1
     # the road is 2 * 40 / 6 wide
@@ -41,7 +45,7 @@ def test_the_road_lies_under_the_car_at_the_start():
 
 
 def test_off_road_stretches_and_reward_rate():
-    trajectory = drive_trajectory(make_env(max_episode_steps=8), Steady(), 6)
+    trajectory = drive_trajectory(fast(8), Steady(), 6)
     changed = dataclasses.replace(
         trajectory, wheels_off=np.array([0, 4, 4, 3, 4, 0, 2, 4]), reward=np.full(8, -0.1))
     assert changed.off_road == [(1, 2), (4, 4), (7, 7)]
@@ -60,14 +64,15 @@ def test_recorded_actions_drive_the_same_lap():
             actions.append(policy.act(frame))
             return actions[-1]
 
-    driven = drive_lap(make_env(max_episode_steps=100), Remembering(), 9)
-    assert drive_lap(make_env(max_episode_steps=100), RecordedActions(actions), 9) == driven
-    assert RecordedActions([]).act(None) == (0.0, 0.0, 0.0)
+    driven = drive_lap(fast(100), Remembering(), 9)
+    assert drive_lap(fast(100), RecordedActions(actions), 9) == driven
+    assert RecordedActions([Command(1.0, 0.0)]).act(None) == (1.0, 0.0)
+    assert RecordedActions([]).act(None) == STOP
 
 
 @pytest.mark.parametrize('phone', [False, True])
 def test_a_lap_that_stopped_is_marked(phone):
-    trajectory = drive_trajectory(make_env(max_episode_steps=130), Steady((0, 0, 1)), 6)
+    trajectory = drive_trajectory(fast(130), Steady((0, 0, 1)), 6)
     assert trajectory.lap.standing_still > 100
     figure = lap_picture(trajectory, phone=phone)
     words = [text.get_text() for legend in figure.legends for text in legend.get_texts()]

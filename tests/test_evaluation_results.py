@@ -104,7 +104,8 @@ def test_ctrl_c_keeps_the_laps(tmp_path, monkeypatch, capsys):
     (['--seed', -1], 'seed is -1'), (['--seed', 2**31], 'seed is'),
     (['--action-repeat', 51], 'action-repeat is 51'), (['--action-repeat', 2], 'for models'),
     (['--bag', 'x'], 'through-graph'), (['--json', '/no/such/folder/r.json'], 'no folder'),
-    (['--policy', 'me'], 'accepted:'), (['--policy', 'evaluation_cases:not_finite'], 'steer nan'),
+    (['--policy', 'me'], 'accepted:'),
+    (['--policy', 'evaluation_cases:not_finite'], 'answered (nan'),
     (['--model', 'no_such_model'], 'no_such_model'),
 ])
 def test_bad_options_are_one_line_and_code_2(words, message, capsys, tmp_path):

@@ -50,7 +50,8 @@ def learn(
 
     def publish(data: bytes) -> dict[str, float] | None:
         policy.swap_weights(decode_weights(data, training.description))
-        return validate_weights(data, settings.validation_seeds) if validating else None
+        return validate_weights(
+            data, settings.validation_seeds, settings.simulator) if validating else None
 
     driver = Driver(training, publish)
     started = reported = time.monotonic()

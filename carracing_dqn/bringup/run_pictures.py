@@ -8,15 +8,15 @@ from pathlib import Path
 from bags.transitions import bag_transitions
 from carracing_dqn.evaluation.lap_picture import draw_lap
 from carracing_dqn.evaluation.trajectory import RecordedActions
-from carracing_sim_node.controls import controls
+from msgs_bridge.twists import Command
 
 
 def draw_recorded_laps(bag: Path, folder: Path) -> list[Path]:
     """
-    Draw the whole laps of a bag; return the pictures.
+    Draw the whole laps of CarRacing in a bag; return the pictures.
 
     Args:
-        bag: bag whose tracks have a seed each.
+        bag: bag whose tracks have a seed each; others are passed over.
         folder: where `lap-SEED.png` go; made if it is not there.
 
     Raises:
@@ -24,16 +24,19 @@ def draw_recorded_laps(bag: Path, folder: Path) -> list[Path]:
     """
     folder.mkdir(exist_ok=True)
     pictures: list[Path] = []
-    actions: list[tuple[float, float, float]] = []
+    commands: list[Command] = []
     for transition in bag_transitions([bag]):
         step = transition.step
+        if 'tiles_total' not in step.info:
+            continue
         if transition.previous.decision == 0:
-            actions = []
+            commands = []
         # what was applied, held for as many frames as the simulator drove
-        actions += [controls(transition.command)] * int(step.info['frames'])
-        whole = step.ended and len(actions) == step.info['step']
+        applied = Command(step.info['linear'], step.info['angular'])
+        commands += [applied] * int(step.info['frames'])
+        whole = step.ended and len(commands) == step.info['step']
         if whole and step.seed >= 0:
             path = folder / f'lap-{step.seed}.png'
-            draw_lap(RecordedActions(actions), step.seed, path)
+            draw_lap(RecordedActions(commands), step.seed, path)
             pictures.append(path)
     return pictures

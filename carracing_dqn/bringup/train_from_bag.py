@@ -63,7 +63,7 @@ def learn_from_bags(
 
     def publish(data: bytes) -> dict[str, float] | None:
         try:
-            return validate_weights(data, settings.validation_seeds)
+            return validate_weights(data, settings.validation_seeds, settings.simulator)
         except BridgeError as error:
             say(f'no validation: {error}')
             return None

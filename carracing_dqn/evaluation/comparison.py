@@ -55,6 +55,12 @@ class _NotMeasured(Exception):
     """A figure that the records of a run do not give; the text says why."""
 
 
+def _percent(share: float | None) -> float:
+    if share is None:
+        raise _NotMeasured('the simulator does not say')
+    return 100 * share
+
+
 def smoothing_window(episodes: int) -> int:
     """Return the window of the moving average: a tenth of the episodes, at most 100."""
     return max(1, min(LONGEST_WINDOW, episodes // 10))
@@ -229,7 +235,7 @@ _MEASURES: dict[str, Callable[[Run], float]] = {
     'dummy_std': lambda run: _dummy(run).std,
     'dummy_minimum': lambda run: _dummy(run).minimum,
     'dummy_maximum': lambda run: _dummy(run).maximum,
-    'dummy_completed': lambda run: 100 * _dummy(run).completed,
+    'dummy_completed': lambda run: _percent(_dummy(run).completed),
     'dummy_700': lambda run: 100 * _dummy(run).success[700],
     'dummy_800': lambda run: 100 * _dummy(run).success[800],
     'dummy_900': lambda run: 100 * _dummy(run).success[900],
@@ -238,12 +244,12 @@ _MEASURES: dict[str, Callable[[Run], float]] = {
     'test_std': lambda run: _test(run).std,
     'test_minimum': lambda run: _test(run).minimum,
     'test_maximum': lambda run: _test(run).maximum,
-    'test_completed': lambda run: 100 * _test(run).completed,
+    'test_completed': lambda run: _percent(_test(run).completed),
     'test_frames': lambda run: _test(run).frames,
     'test_700': lambda run: 100 * _test(run).success[700],
     'test_800': lambda run: 100 * _test(run).success[800],
     'test_900': lambda run: 100 * _test(run).success[900],
-    'test_stopped': lambda run: 100 * _test(run).stopped,
+    'test_stopped': lambda run: _percent(_test(run).stopped),
     'test_increase': _increase,
     'learning_rate_last': _last_learning_rate,
 }

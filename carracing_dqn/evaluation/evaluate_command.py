@@ -20,9 +20,9 @@ from carracing_dqn.evaluation.progress import LapProgress, summary_table
 from carracing_dqn.evaluation.results import (
     describe_machine, Results, resume, write_csv, write_json,
 )
-from carracing_dqn.evaluation.simulators import SIMULATORS
 from carracing_dqn.evaluation.through_graph import drive_laps_through_graph, RunGraph
 from carracing_dqn.evaluation.workers import limit_torch_threads
+from carracing_dqn.simulation import find_simulator, simulator_names
 from rich.console import Console
 
 TEST_SEED = 100_000
@@ -51,9 +51,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help='write laps and statistics; a run that was stopped goes on from it')
     parser.add_argument('--csv', type=Path, metavar='FILE', help='write a row a lap')
     parser.add_argument(
-        '--simulator', choices=tuple(SIMULATORS), default='gymnasium',
-        help="gymnasium: the unmodified gymnasium.make('CarRacing-v3'); fast: ours, equal to the "
-        'byte (default: %(default)s)')
+        '--simulator', default='gymnasium', metavar='NAME|MODULE:CLASS',
+        help="gymnasium: the unmodified gymnasium.make('CarRacing-v3'); carracing (or fast): "
+        'ours, equal to the byte; or another: '
+        f'{", ".join(simulator_names())} are installed (default: %(default)s)')
     parser.add_argument('--processes', type=int, default=_cores(), metavar='N',
                         help='processes that drive (default: %(default)s, the cores)')
     parser.add_argument('--pictures', type=Path, metavar='DIR',
@@ -81,6 +82,7 @@ def main(arguments: argparse.Namespace, *, run_graph: RunGraph | None = None) ->
         BridgeError: an option, a model, a policy or a file that cannot be used.
     """
     _check(arguments)
+    find_simulator(arguments.simulator)
     console = Console()
     source = dataclasses.replace(
         parse_policy(arguments.policy, arguments.model, arguments.device),

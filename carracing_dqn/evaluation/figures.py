@@ -215,7 +215,10 @@ def _completion(runs: Sequence[Run], size: Size) -> Figure:
     colours = [style.PALE, style.SEED_COLOUR]
     errors = [(0.0, 0.0), (0.0, 0.0)]
     for name, results, colour, _ in agents:
-        finished = sum(lap.lap_finished for lap in results.ordered)
+        laps = [lap.lap_finished for lap in results.ordered]
+        if None in laps:
+            continue
+        finished = sum(laps)
         share = finished / len(results.laps)
         low, high = share_interval(finished, len(results.laps))
         names.append(name)

@@ -7,16 +7,16 @@ from pathlib import Path
 
 from carracing_dqn.evaluation import figure_style as style
 from carracing_dqn.evaluation.laps import Lap, Policy
-from carracing_dqn.evaluation.simulators import make_simulator
 from carracing_dqn.evaluation.statistics import STOPPED_FRAMES
 from carracing_dqn.evaluation.trajectory import drive_trajectory, Trajectory
-import gymnasium
+from carracing_dqn.simulation import make_simulator
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colorbar import Colorbar
 from matplotlib.colors import Colormap, LinearSegmentedColormap, Normalize, TwoSlopeNorm
 from matplotlib.figure import Figure
 from msgs_bridge.atomic_write import write_bytes
+from msgs_bridge.simulator import Simulator
 import numpy as np
 
 WIDTH, PHONE_WIDTH = 9.6, 4.6
@@ -89,18 +89,20 @@ def draw_lap(
         PolicyError: an action that is not three finite numbers in range.
         OSError: the file cannot be written.
     """
-    env = make_simulator(simulator)
+    made = make_simulator(simulator)
     try:
-        trajectory = drive_trajectory(env, policy, seed)
+        trajectory = drive_trajectory(made, policy, seed)
     finally:
-        env.close()
+        made.close()
     write_bytes(path, style.image_bytes(lap_picture(trajectory), 'png'))
     return trajectory.lap
 
 
-def drive_and_draw(env: gymnasium.Env, policy: Policy, seed: int, folder: Path | str) -> Lap:
-    """Drive a lap in an environment and write `lap_SEED.png` into a folder; raises OSError."""
-    trajectory = drive_trajectory(env, policy, seed)
+def drive_and_draw(
+    simulator: Simulator, policy: Policy, seed: int, *, folder: Path | str,
+) -> Lap:
+    """Drive a lap in a simulator and write `lap_SEED.png` into a folder; raises OSError."""
+    trajectory = drive_trajectory(simulator, policy, seed)
     write_bytes(Path(folder) / f'lap_{seed}.png',
                 style.image_bytes(lap_picture(trajectory), 'png'))
     return trajectory.lap

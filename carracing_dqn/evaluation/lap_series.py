@@ -8,8 +8,8 @@ import functools
 
 from carracing_dqn.evaluation.laps import drive_lap, Lap
 from carracing_dqn.evaluation.policies import PolicySource
-from carracing_dqn.evaluation.simulators import make_simulator
 from carracing_dqn.evaluation.workers import run_jobs
+from carracing_dqn.simulation import make_simulator
 
 
 def drive_laps(
@@ -25,13 +25,14 @@ def drive_laps(
     Args:
         source: where every process gets its policy from.
         seeds: seeds of the tracks.
-        simulator: see `simulators.SIMULATORS`.
+        simulator: name of an installed one, or module:Class.
         processes: 1 drives in this process.
         pictures: folder for a picture of every lap.
 
     Raises:
         PolicyError: the policy cannot be opened, or answered with something that is no action.
-        EvaluationError: there is no such simulator, or a process died.
+        SimulatorError: there is no such simulator.
+        EvaluationError: a process died, or pictures of a simulator that has no track.
     """
     make_driver = functools.partial(_make_driver, source, simulator, pictures)
     if processes > 1:
@@ -46,19 +47,11 @@ def _make_driver(
     source: PolicySource, simulator: str, pictures: str | None,
 ) -> Callable[[int], Lap]:
     """Open policy and simulator in the process that drives; return seed -> Lap."""
-    policy = source.open()
-
-    def drive(seed: int) -> Lap:
-        # a new world for every lap: Box2D keeps some tiles of the old ones in memory
-        env = make_simulator(simulator)
-        try:
-            if pictures is None:
-                return drive_lap(env, policy, seed)
-            # matplotlib is slow to load and only needed here
-            from carracing_dqn.evaluation.lap_picture import drive_and_draw
-            return drive_and_draw(env, policy, seed, pictures)
-        finally:
-            env.close()
-
-    make_simulator(simulator).close()
-    return drive
+    # one world for all: what a lap gives does not depend on what was driven in it before
+    made = make_simulator(simulator)
+    policy = source.open(made.frame_seconds)
+    if pictures is None:
+        return functools.partial(drive_lap, made, policy)
+    # matplotlib is slow to load and only needed here
+    from carracing_dqn.evaluation.lap_picture import drive_and_draw
+    return functools.partial(drive_and_draw, made, policy, folder=pictures)

@@ -1,19 +1,16 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
-"""Greedy laps: one seeded track an episode, the whole reward, nothing cut short."""
+"""Greedy laps: one seeded episode each, the whole reward, nothing cut short."""
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 import dataclasses
-import math
 import time
 from typing import Any, Protocol
 
-from carracing_sim_node.controls import controls
-from carracing_sim_node.simulation import STANDING_SPEED
-from carracing_dqn.evaluation.errors import PolicyError
-from carracing_dqn.evaluation.simulators import draws_on_request, world_of
-import gymnasium
+from carracing_dqn.evaluation.errors import EvaluationError, PolicyError
+from carracing_sim_node.controls import command_of
+from msgs_bridge.simulator import Simulator
 from msgs_bridge.twists import Command
 import numpy as np
 
@@ -22,13 +19,13 @@ RETURN_DIGITS = 6
 
 
 class Policy(Protocol):
-    """What can be evaluated: frames in, actions out."""
+    """What can be evaluated: frames in, commands out."""
 
     def reset(self, seed: int | None = None) -> None:
         """Forget the episode before; `seed` is for policies that draw at random."""
 
-    def act(self, frame: np.ndarray) -> tuple[float, float, float]:
-        """Return (steer, gas, brake) for a frame, uint8 (96, 96, 3) rgb, of every 1/50 s."""
+    def act(self, frame: np.ndarray) -> Command:
+        """Return the command for a frame, uint8 (H, W, 3) rgb, of every simulated one."""
 
 
 Watch = Callable[[Any, float], None]
@@ -38,12 +35,12 @@ Watch = Callable[[Any, float], None]
 @dataclasses.dataclass(frozen=True)
 class Lap:
     """
-    One episode and how it went; names as in `episode` message.
+    One episode and how it went; what the simulator does not say is None.
 
     Attributes:
-        seed: seed of the track (and of a policy that draws at random).
+        seed: seed of the episode (and of a policy that draws at random).
         episode_return: sum of the environment's own rewards.
-        frames: simulator frames of 1/50 s.
+        frames: simulated frames, in CarRacing of 1/50 s.
         tiles_visited, tiles_total: tiles of the track.
         lap_finished: all tiles were visited.
         left_field: the car left the playfield.
@@ -54,61 +51,66 @@ class Lap:
     seed: int
     episode_return: float
     frames: int
-    tiles_visited: int
-    tiles_total: int
-    lap_finished: bool
-    left_field: bool
-    standing_still: int
+    tiles_visited: int | None = None
+    tiles_total: int | None = None
+    lap_finished: bool | None = None
+    left_field: bool | None = None
+    standing_still: int | None = None
     seconds: float = dataclasses.field(default=0.0, compare=False)
 
 
+def lap_of(
+    seed: int, episode_return: float, frames: int, info: Mapping[str, float], seconds: float,
+) -> Lap:
+    """Return a lap with those of its values that the info of its last frame has."""
+    kinds = {'tiles_visited': int, 'tiles_total': int, 'lap_finished': bool, 'left_field': bool,
+             'standing_still': int}
+    return Lap(seed, round(episode_return, RETURN_DIGITS), frames, seconds=seconds, **{
+        name: kind(info[name]) for name, kind in kinds.items() if name in info})
+
+
 def drive_lap(
-    env: gymnasium.Env, policy: Policy, seed: int, *, watch: Watch | None = None,
+    simulator: Simulator, policy: Policy, seed: int, *, watch: Watch | None = None,
 ) -> Lap:
     """
-    Drive one episode on the track of a seed.
+    Drive one episode of a seed.
 
-    With an environment that can leave frames undrawn, only the frames a policy with
-    `action_repeat` looks at are drawn; in between it gets the last drawn frame again.
+    With a simulator that can leave frames undrawn, only the frames a policy with `action_repeat`
+    looks at are drawn; in between it gets the last drawn frame again.
 
     Args:
-        env: a CarRacing-v3, gymnasium's or ours.
+        simulator: any; its first frame is that of a reset.
         policy: see `Policy`; without `action_repeat` it looks at every frame.
-        seed: seed of the track.
-        watch: called after every frame.
+        seed: of the episode, for a simulator that obeys seeds.
+        watch: called after every frame; for the simulators of CarRacing.
 
     Raises:
-        PolicyError: an action that is not three finite numbers in range.
+        PolicyError: an answer that is no command, or that CarRacing cannot obey.
+        EvaluationError: somebody wants to watch a simulator that is not CarRacing.
     """
     started = time.perf_counter()
-    world = world_of(env)
-    look_every = looks_every(policy) if draws_on_request(env) else 1
-    frame, _ = env.reset(seed=seed)
+    world = getattr(simulator, 'world', None)
+    if watch is not None and world is None:
+        raise EvaluationError(
+            f'a {type(simulator).__name__} has no track to look at; CarRacing has')
+    look_every = looks_every(policy) if simulator.draws_on_request else 1
+    outcome = simulator.reset(seed if simulator.seeded else None)
     policy.reset(seed)
-    total, frames, standing_still = 0.0, 0, 0
-    terminated = truncated = False
-    info: dict[str, Any] = {}
-    while not (terminated or truncated):
-        action = checked_action(policy.act(frame))
+    frame = outcome.pixels
+    total, frames = 0.0, 0
+    while not (outcome.terminated or outcome.truncated):
+        command = checked_command(policy.act(frame))
         frames += 1
         if look_every == 1:
-            frame, reward, terminated, truncated, info = env.step(action)
+            outcome = simulator.advance(command, 1)
         else:
-            drawn, reward, terminated, truncated, info = env.step(
-                action, draw=look_every > 0 and frames % look_every == 0)
-            frame = frame if drawn is None else drawn
-        total += float(reward)
-        velocity = world.car.hull.linearVelocity
-        speed = math.sqrt(velocity.x * velocity.x + velocity.y * velocity.y)
-        standing_still = standing_still + 1 if speed < STANDING_SPEED else 0
+            outcome = simulator.advance(
+                command, 1, draw=look_every > 0 and frames % look_every == 0)
+        frame = frame if outcome.pixels is None else outcome.pixels
+        total += float(outcome.reward)
         if watch is not None:
-            watch(world, float(reward))
-    lap_finished = bool(info.get('lap_finished', False))
-    return Lap(
-        seed=seed, episode_return=round(total, RETURN_DIGITS), frames=frames,
-        tiles_visited=world.tile_visited_count, tiles_total=len(world.track),
-        lap_finished=lap_finished, left_field=bool(terminated) and not lap_finished,
-        standing_still=standing_still, seconds=time.perf_counter() - started)
+            watch(world, float(outcome.reward))
+    return lap_of(seed, total, frames, outcome.info, time.perf_counter() - started)
 
 
 def looks_every(policy: Policy) -> int:
@@ -118,23 +120,34 @@ def looks_every(policy: Policy) -> int:
     return max(1, int(getattr(policy, 'action_repeat', 1)))
 
 
-def checked_action(action: Any) -> np.ndarray:
+def checked_command(answer: Any) -> Command:
     """
-    Return an action as float64 (3,), which is how the physics computes with it.
+    Return the command that a policy has answered: (linear, angular), or (steer, gas, brake).
 
     Raises:
-        PolicyError: not three numbers, not finite, or out of range.
+        PolicyError: neither, not finite, out of range, or gas and brake at once.
     """
     try:
-        if isinstance(action, Command):
-            action = controls(action)
-        steer, gas, brake = (float(value) for value in action)
+        values = tuple(map(float, answer))
     except (TypeError, ValueError):
-        raise PolicyError(
-            f'the policy answered {action!r}; expected (steer, gas, brake)') from None
+        values = ()
     # written so that NaN fails: every comparison with it is False
-    if -1.0 <= steer <= 1.0 and 0.0 <= gas <= 1.0 and 0.0 <= brake <= 1.0:
-        return np.array((steer, gas, brake))
+    if len(values) == 2 and all(-1.0 <= value <= 1.0 for value in values):
+        return Command(*values)
+    if len(values) == 3 and _pedals(*values):
+        return command_of(*values)
     raise PolicyError(
-        f'the policy answered steer {steer}, gas {gas}, brake {brake}; '
-        'expected steer in [-1, 1], gas and brake in [0, 1]')
+        f'the policy answered {_shown(answer)}; expected two numbers in [-1, 1], linear and '
+        "angular, or CarRacing's steer in [-1, 1], gas and brake in [0, 1], one of them 0")
+
+
+def _pedals(steer: float, gas: float, brake: float) -> bool:
+    """Return whether one signed number can carry gas and brake, and all are in range."""
+    return (-1.0 <= steer <= 1.0 and 0.0 <= gas <= 1.0 and 0.0 <= brake <= 1.0
+            and min(gas, brake) == 0.0)
+
+
+def _shown(answer: Any) -> str:
+    if isinstance(answer, Sequence) and not isinstance(answer, (str, bytes)):
+        answer = tuple(answer[:4])
+    return repr(answer)[:100]

@@ -21,6 +21,7 @@ from dqn_policy_node.policy import Policy
 from dqn_policy_node.weights_message import decode_weights, is_marked, WeightsUpdate
 from carracing_dqn.evaluation.settings import ValidationSettings
 from carracing_dqn.evaluation.validator import validate
+from carracing_dqn.simulation import make_simulator
 from msgs_bridge import topics
 from msgs_bridge.errors import BridgeError, MessageError
 from msgs_bridge.named_values import fill_named_values
@@ -38,6 +39,7 @@ class ValidationNode(NodeShell):
     def __init__(self) -> None:
         """Declare parameters and wait for marked weights."""
         super().__init__('validation_node', ValidationSettings)
+        self._simulator = make_simulator(self.settings.simulator)
         self._wanted: WeightsUpdate | None = None
         self._driven = -1
         self._validation = self.publisher(topics.VALIDATION)
@@ -59,11 +61,11 @@ class ValidationNode(NodeShell):
         if update is None:
             return
         self._driven = update.version
-        policy = Policy(update.description)
+        policy = Policy(update.description, frame_seconds=self._simulator.frame_seconds)
         policy.swap_weights(update)
         policy.epsilon = 0.0
         seeds = range(self.settings.seed, self.settings.seed + self.settings.tracks)
-        result = validate(policy, seeds, version=update.version,
+        result = validate(policy, seeds, version=update.version, simulator=self._simulator,
                           should_stop=lambda: not self.context.ok())
         if not self.context.ok():
             return

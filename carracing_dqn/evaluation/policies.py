@@ -73,9 +73,12 @@ class PolicySource:
             return f'{folder.parent.name}/{folder.name}'
         return folder.name
 
-    def open(self) -> Any:
+    def open(self, frame_seconds: float = FRAME_SECONDS) -> Any:
         """
         Return the policy.
+
+        Args:
+            frame_seconds: simulated seconds of a frame of what it is to drive.
 
         Raises:
             ModelError: the model folder cannot be used.
@@ -83,7 +86,7 @@ class PolicySource:
         """
         if self.kind == MODEL:
             from dqn_policy_node import load_policy
-            policy = load_policy(self.model, self.device)
+            policy = load_policy(self.model, self.device, frame_seconds=frame_seconds)
             if self.action_repeat:
                 policy.action_repeat = self.action_repeat
             return policy

@@ -59,8 +59,8 @@ class LapProgress:
         if not self._laps:
             return 'no lap yet'
         mean = sum(lap.episode_return for lap in self._laps) / len(self._laps)
-        finished = sum(lap.lap_finished for lap in self._laps)
-        return f'mean {mean:.1f}, {finished} finished'
+        finished = [lap.lap_finished for lap in self._laps]
+        return f'mean {mean:.1f}' + ('' if None in finished else f', {sum(finished)} finished')
 
 
 def summary_table(name: str, laps: list[Lap]) -> Table:
@@ -84,15 +84,18 @@ def summary_rows(numbers: Statistics) -> list[tuple[str, str]]:
         ('median', f'{numbers.median:.2f}'),
         ('minimum, maximum', f'{numbers.minimum:.2f}, {numbers.maximum:.2f}'),
         ('quantiles', quantiles),
-        ('laps finished', f'{numbers.completed:.1%}, 95 % confidence '
-         f'{numbers.completed_low:.1%} to {numbers.completed_high:.1%} (Wilson)'),
     ]
-    rows += [(f'return of {threshold} or more', f'{share:.1%}')
-             for threshold, share in numbers.success.items()]
+    if numbers.completed is not None:
+        rows.append((
+            'laps finished', f'{numbers.completed:.1%}, 95 % confidence '
+            f'{numbers.completed_low:.1%} to {numbers.completed_high:.1%} (Wilson)'))
+        # thresholds of CarRacing's returns
+        rows += [(f'return of {threshold} or more', f'{share:.1%}')
+                 for threshold, share in numbers.success.items()]
     lap_frames = '' if numbers.lap_frames is None else f', finished ones {numbers.lap_frames:.1f}'
-    return rows + [
-        ('tiles visited', f'{numbers.tiles:.2%}'),
-        ('frames of an episode', f'{numbers.frames:.1f}{lap_frames}'),
-        ('stood still at the end for more than 100 frames', f'{numbers.stopped:.1%}'),
-        ('left the field', f'{numbers.left_field:.1%}'),
-    ]
+    rows.append(('frames of an episode', f'{numbers.frames:.1f}{lap_frames}'))
+    return rows + [(label, format(value, form)) for label, value, form in (
+        ('tiles visited', numbers.tiles, '.2%'),
+        ('stood still at the end for more than 100 frames', numbers.stopped, '.1%'),
+        ('left the field', numbers.left_field, '.1%'),
+    ) if value is not None]

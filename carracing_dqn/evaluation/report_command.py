@@ -19,9 +19,9 @@ from carracing_dqn.evaluation.policies import MODEL, PolicySource, RANDOM
 from carracing_dqn.evaluation.records import add_results, load_run, Run
 from carracing_dqn.evaluation.report_page import lap_pictures, make_pictures, markdown, render
 from carracing_dqn.evaluation.results import describe_machine, read_json, Results, write_json
-from carracing_dqn.evaluation.simulators import make_simulator
 from carracing_dqn.evaluation.trajectory import drive_trajectory, Trajectory
 from carracing_dqn.evaluation.workers import limit_torch_threads
+from carracing_dqn.simulation import make_simulator
 from msgs_bridge.atomic_write import write_text
 from msgs_bridge.errors import BridgeError
 from msgs_bridge.share import share_path
@@ -138,15 +138,12 @@ def _trajectories(
     if not count or run.model is None:
         return
     try:
-        policy = PolicySource(MODEL, str(run.model)).open()
+        simulator = make_simulator('fast')
+        policy = PolicySource(MODEL, str(run.model)).open(simulator.frame_seconds)
         limit_torch_threads()
         for heading, seed in _interesting_laps(run, count):
             console.print(f'driving track {seed} to draw it', highlight=False)
-            env = make_simulator('fast')
-            try:
-                trajectory = drive_trajectory(env, policy, seed)
-            finally:
-                env.close()
+            trajectory = drive_trajectory(simulator, policy, seed)
             _compare_with_record(run, trajectory.lap)
             yield heading, trajectory
     except BridgeError as error:

@@ -161,13 +161,13 @@ def resume(path: Path | str, policy: dict[str, Any], simulator: str, seeds: rang
 
 def _lap(row: Any) -> Lap:
     """Return the lap of a JSON object; raises KeyError, TypeError or ValueError."""
-    kinds = {'int': int, 'float': float, 'bool': bool}
+    kinds = {'int': int, 'float': float, 'bool': bool, 'int | None': int, 'bool | None': bool}
     values = {}
     for field in dataclasses.fields(Lap):
         value = row[field.name]
-        if isinstance(value, str) or value is None:
+        if isinstance(value, str) or value is None and field.default is not None:
             raise TypeError(f'{field.name} is {value!r}')
-        values[field.name] = kinds[field.type](value)
-    if values['tiles_total'] < 1 or values['frames'] < 1:
+        values[field.name] = value if value is None else kinds[field.type](value)
+    if values['frames'] < 1 or values['tiles_total'] is not None and values['tiles_total'] < 1:
         raise ValueError(f'a lap of {values["frames"]} frames and {values["tiles_total"]} tiles')
     return Lap(**values)

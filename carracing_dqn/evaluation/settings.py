@@ -12,6 +12,8 @@ from msgs_bridge.settings import setting
 class ValidationSettings:
     """What can be set on the validation node."""
 
+    simulator: str = setting(
+        'carracing', 'which simulator to drive in: the name of an installed one, or module:Class')
     seed: int = setting(
         420, 'seed of the first validation track (seed document 3.1); the next ones count up',
         low=0, high=2**31 - 1)

@@ -3,7 +3,7 @@
 """What a set of laps adds up to."""
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 import dataclasses
 import math
 
@@ -29,7 +29,7 @@ _RESAMPLING_SEED = 0
 @dataclasses.dataclass(frozen=True)
 class Statistics:
     """
-    Numbers of a set of laps.
+    Numbers of a set of laps; None where the simulator does not say what they need.
 
     Attributes:
         episodes: how many laps.
@@ -59,15 +59,15 @@ class Statistics:
     minimum: float
     maximum: float
     quantiles: dict[float, float]
-    completed: float
-    completed_low: float
-    completed_high: float
+    completed: float | None
+    completed_low: float | None
+    completed_high: float | None
     success: dict[int, float]
-    stopped: float
-    left_field: float
+    stopped: float | None
+    left_field: float | None
     frames: float
     lap_frames: float | None
-    tiles: float
+    tiles: float | None
     seconds: float
 
     def to_json(self) -> dict[str, object]:
@@ -91,9 +91,10 @@ def statistics_of(laps: Sequence[Lap]) -> Statistics:
     laps = sorted(laps, key=lambda lap: lap.seed)
     returns = np.array([lap.episode_return for lap in laps], dtype=float)
     finished = [lap.frames for lap in laps if lap.lap_finished]
-    completed = len(finished) / len(laps)
+    known = all(lap.lap_finished is not None for lap in laps)
     mean_low, mean_high = mean_interval(returns)
-    completed_low, completed_high = share_interval(len(finished), len(laps))
+    completed_low, completed_high = (
+        share_interval(len(finished), len(laps)) if known else (None, None))
     return Statistics(
         episodes=len(laps),
         mean=float(returns.mean()),
@@ -104,16 +105,18 @@ def statistics_of(laps: Sequence[Lap]) -> Statistics:
         minimum=float(returns.min()),
         maximum=float(returns.max()),
         quantiles={share: float(np.quantile(returns, share)) for share in QUANTILES},
-        completed=completed,
+        completed=len(finished) / len(laps) if known else None,
         completed_low=completed_low,
         completed_high=completed_high,
         success={
             threshold: float(np.mean(returns >= threshold)) for threshold in THRESHOLDS},
-        stopped=_share(lap.standing_still > STOPPED_FRAMES for lap in laps),
-        left_field=_share(lap.left_field for lap in laps),
+        stopped=_mean(None if lap.standing_still is None else lap.standing_still > STOPPED_FRAMES
+                      for lap in laps),
+        left_field=_mean(lap.left_field for lap in laps),
         frames=float(np.mean([lap.frames for lap in laps])),
         lap_frames=float(np.mean(finished)) if finished else None,
-        tiles=float(np.mean([lap.tiles_visited / lap.tiles_total for lap in laps])),
+        tiles=_mean(None if lap.tiles_total is None else lap.tiles_visited / lap.tiles_total
+                    for lap in laps),
         seconds=float(np.mean([lap.seconds for lap in laps])),
     )
 
@@ -169,5 +172,7 @@ def moving_average(values: np.ndarray, window: int) -> np.ndarray:
     return np.divide(total, number, out=np.full(len(values), np.nan), where=number > 0)
 
 
-def _share(flags: object) -> float:
-    return float(np.mean(list(flags)))
+def _mean(values: Iterable[float | None]) -> float | None:
+    """Return a mean, None if one of the values is not known."""
+    known = list(values)
+    return None if None in known else float(np.mean(known))

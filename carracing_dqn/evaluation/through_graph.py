@@ -13,7 +13,7 @@ from pathlib import Path
 import time
 
 from carracing_dqn.evaluation.errors import EvaluationError
-from carracing_dqn.evaluation.laps import Lap, RETURN_DIGITS
+from carracing_dqn.evaluation.laps import Lap, lap_of
 from carracing_dqn.evaluation.policies import MODEL, PolicySource, RANDOM
 
 RunGraph = Callable[[str, range, 'Path | None'], Iterator[Mapping[str, float]]]
@@ -62,7 +62,8 @@ def drive_laps_through_graph(
                 raise EvaluationError(
                     f'the graph drove track {summary["seed"]:.0f}; expected {seed}')
             now = time.perf_counter()
-            yield lap_of(summary, now - before)
+            yield lap_of(seed, float(summary['episode_return']), int(summary['step']), summary,
+                         now - before)
             before = now
         missing = next(expected, None)
         if missing is not None:
@@ -78,14 +79,3 @@ def consecutive(seeds: Sequence[int]) -> list[range]:
         else:
             stretches.append(range(seed, seed + 1))
     return stretches
-
-
-def lap_of(summary: Mapping[str, float], seconds: float) -> Lap:
-    """Return the lap of an episode summary."""
-    return Lap(
-        seed=int(summary['seed']),
-        episode_return=round(float(summary['episode_return']), RETURN_DIGITS),
-        frames=int(summary['step']), tiles_visited=int(summary['tiles_visited']),
-        tiles_total=int(summary['tiles_total']), lap_finished=bool(summary['lap_finished']),
-        left_field=bool(summary['left_field']), standing_still=int(summary['standing_still']),
-        seconds=seconds)

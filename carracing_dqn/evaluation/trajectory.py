@@ -3,13 +3,14 @@
 """Where the car was, frame by frame, and what the track looked like."""
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 import dataclasses
 from typing import Any
 
 from carracing_dqn.evaluation.laps import drive_lap, Lap, Policy
-import gymnasium
 from gymnasium.envs.box2d.car_racing import FPS, TRACK_WIDTH
+from msgs_bridge.simulator import Simulator
+from msgs_bridge.twists import Command, STOP
 import numpy as np
 
 
@@ -70,17 +71,17 @@ class _Recorder:
             sum(not wheel.tiles for wheel in world.car.wheels)))
 
 
-def drive_trajectory(env: gymnasium.Env, policy: Policy, seed: int) -> Trajectory:
+def drive_trajectory(simulator: Simulator, policy: Policy, seed: int) -> Trajectory:
     """
-    Drive a lap as `laps.drive_lap` does and keep where the car was.
+    Drive a lap of CarRacing as `laps.drive_lap` does and keep where the car was.
 
     Raises:
-        PolicyError: an action that is not three finite numbers in range.
+        PolicyError: an answer that is no command.
+        EvaluationError: a simulator that is not CarRacing.
     """
-    from carracing_dqn.evaluation.simulators import world_of
     recorder = _Recorder()
-    lap = drive_lap(env, policy, seed, watch=recorder)
-    world = world_of(env)
+    lap = drive_lap(simulator, policy, seed, watch=recorder)
+    world = simulator.world
     track = np.array([(beta, x, y) for _, beta, x, y in world.track])
     across = TRACK_WIDTH * np.stack((np.cos(track[:, 0]), np.sin(track[:, 0])), axis=1)
     # the polygon of tile i reaches from point i to the one before, as gymnasium lays it
@@ -95,22 +96,22 @@ def drive_trajectory(env: gymnasium.Env, policy: Policy, seed: int) -> Trajector
 
 
 class RecordedActions:
-    """A policy that repeats actions, one a frame; coasts when there are no more."""
+    """A policy that repeats commands, one a frame; coasts when there are no more."""
 
     looks_at_frames = False
 
-    def __init__(self, actions: Iterable[Sequence[float]]) -> None:
-        """Keep (steer, gas, brake) for every simulator frame."""
-        self._actions = [tuple(action) for action in actions]
+    def __init__(self, actions: Iterable[Command]) -> None:
+        """Keep the command of every simulated frame."""
+        self._actions = list(actions)
         self._next = 0
 
     def reset(self, seed: int | None = None) -> None:
         """Start from the first action again."""
         self._next = 0
 
-    def act(self, frame: np.ndarray) -> tuple[float, float, float]:
-        """Return the next action, whatever the frame shows."""
+    def act(self, frame: np.ndarray) -> Command:
+        """Return the next command, whatever the frame shows."""
         self._next += 1
         if self._next > len(self._actions):
-            return 0.0, 0.0, 0.0
+            return STOP
         return self._actions[self._next - 1]

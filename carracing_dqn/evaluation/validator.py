@@ -8,15 +8,18 @@ import time
 
 from carracing_dqn.evaluation.errors import EvaluationError
 from carracing_dqn.evaluation.laps import drive_lap, Lap, Policy
-from carracing_dqn.evaluation.simulators import make_simulator
 from carracing_dqn.evaluation.workers import limit_torch_threads
+from carracing_dqn.simulation import make_simulator
+from carracing_dqn.simulation.registry import DEFAULT
+from msgs_bridge.simulator import Simulator
 from dqn_policy_node import policy as dqn_policy
 from dqn_policy_node.weights_message import decode_weights
 import numpy as np
 
 
 def validate(
-    policy: Policy, seeds: Iterable[int], *, version: int = 0, simulator: str = 'fast',
+    policy: Policy, seeds: Iterable[int], *, version: int = 0,
+    simulator: Simulator | None = None,
     on_lap: Callable[[Lap], None] | None = None,
     should_stop: Callable[[], bool] | None = None,
 ) -> dict[str, float]:
@@ -30,7 +33,7 @@ def validate(
         policy: acts as it is; its `epsilon`, if it has one, should be 0.
         seeds: seeds of the tracks.
         version: version of the weights, passed on.
-        simulator: 'fast', which gives the same laps as 'gymnasium' in less time.
+        simulator: what to drive in; CarRacing if nothing is said.
         on_lap: called after every lap.
         should_stop: asked after every lap; when it says True, the laps so far are returned.
 
@@ -41,13 +44,9 @@ def validate(
     limit_torch_threads()
     started = time.perf_counter()
     laps: list[Lap] = []
+    simulator = make_simulator(DEFAULT) if simulator is None else simulator
     for seed in seeds:
-        # a new world for every lap: Box2D keeps some tiles of the old ones in memory
-        env = make_simulator(simulator)
-        try:
-            laps.append(drive_lap(env, policy, seed))
-        finally:
-            env.close()
+        laps.append(drive_lap(simulator, policy, seed))
         if on_lap is not None:
             on_lap(laps[-1])
         if should_stop is not None and should_stop():
@@ -62,12 +61,15 @@ def validate(
         'std': float(returns.std()),
         'minimum': float(returns.min()),
         'maximum': float(returns.max()),
-        'completed': sum(lap.lap_finished for lap in laps) / len(laps),
+        # a simulator that says nothing of laps has none that were completed
+        'completed': sum(lap.lap_finished or False for lap in laps) / len(laps),
         'seconds': time.perf_counter() - started,
     }
 
 
-def validate_weights(data: bytes, seeds: Iterable[int]) -> dict[str, float] | None:
+def validate_weights(
+    data: bytes, seeds: Iterable[int], simulator: str = DEFAULT,
+) -> dict[str, float] | None:
     """
     Drive a validation of a weights image that asks for one; None if it does not.
 
@@ -78,7 +80,8 @@ def validate_weights(data: bytes, seeds: Iterable[int]) -> dict[str, float] | No
     update = decode_weights(data)
     if not update.validate:
         return None
-    policy = dqn_policy.Policy(update.description)
+    made = make_simulator(simulator)
+    policy = dqn_policy.Policy(update.description, frame_seconds=made.frame_seconds)
     policy.swap_weights(update)
     policy.epsilon = 0.0
-    return validate(policy, seeds, version=update.version)
+    return validate(policy, seeds, version=update.version, simulator=made)
