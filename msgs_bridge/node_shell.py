@@ -35,8 +35,10 @@ __all__ = ['Finished', 'NodeShell', 'PolledGroup', 'run_node', 'ShellSettings']
 
 # how often subscriptions are held against the graph; seconds
 GRAPH_SECONDS = 0.5
-# how long the diagnostics warn of something that happened once; seconds
-WARN_SECONDS = 5.0
+# how long the diagnostics warn of something that happened once, at least one of them; seconds
+WARN_SECONDS = 1.5
+# how often the log does; seconds
+WARN_LOG_SECONDS = 5.0
 # characters of a value in the diagnostics, and of their summary
 VALUE_LENGTH, SUMMARY_LENGTH = 200, 300
 # misfits that are logged, each once
@@ -96,6 +98,7 @@ class NodeShell(Node):
         self._eager: list[AdaptiveSubscription] = []
         self._bell: Bell | None = None
         self._warnings: dict[str, tuple[str, float]] = {}
+        self._log_again: dict[str, float] = {}
         self._told: set[str] = set()
         self._settings_class = settings_class
         self.settings, self.shell = declare_settings(
@@ -222,8 +225,12 @@ class NodeShell(Node):
 
     def warn_of(self, what: str, text: str) -> None:
         """Log (throttled) what has happened to something, and warn of it for a while."""
-        self._warnings[what] = text, time.monotonic() + WARN_SECONDS
-        self.get_logger().warn(f'{what}: {text}', throttle_duration_sec=5.0)
+        now = time.monotonic()
+        self._warnings[what] = text, now + WARN_SECONDS
+        # rclpy's own throttle takes 0.6 ms to say nothing, which is too long for a flood
+        if now >= self._log_again.get(what, 0.0):
+            self._log_again[what] = now + WARN_LOG_SECONDS
+            self.get_logger().warn(f'{what}: {text}')
 
     def refused_lately(self, topic: Topic) -> bool:
         """Return whether a message of a topic was refused within the last seconds."""
