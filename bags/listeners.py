@@ -5,10 +5,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from bags.interim import plain
+from msgs_bridge.matching import deaf_subscriptions, subscriptions_of, type_name_of
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import qos_check_compatible, QoSCompatibility
 
 
 class Listeners:
@@ -47,19 +46,18 @@ class Listeners:
             if reached:
                 self._heard.add(name)
             if self._node.count_subscribers(publisher.topic_name) > reached:
-                mismatches += self._reasons(publisher)
+                mismatches += self._deaf(publisher)
         self.mismatches = mismatches
         for text in mismatches:
             if text not in self._said and len(self._said) < len(self._outputs):
                 self._said.add(text)
                 self._node.get_logger().warn(text)
 
-    def _reasons(self, publisher: Publisher) -> list[str]:
-        reasons = []
-        for one in self._node.get_subscriptions_info_by_topic(publisher.topic_name):
-            fits, reason = qos_check_compatible(publisher.qos_profile, one.qos_profile)
-            if fits == QoSCompatibility.ERROR:
-                reasons.append(
-                    f'{one.node_name} does not hear {publisher.topic_name}: {plain(reason)}; '
-                    f'see the parameters qos_overrides.{publisher.topic_name}.publisher.*')
-        return reasons[:1]
+    def _deaf(self, publisher: Publisher) -> list[str]:
+        """Return who hears nothing of a topic and why, at most one of them."""
+        topic = publisher.topic_name
+        deaf = deaf_subscriptions(
+            subscriptions_of(self._node, topic), type_name_of(publisher.msg_type),
+            publisher.qos_profile)
+        return [f'{topic} is not heard: {reason}; see the parameters '
+                f'qos_overrides.{topic}.publisher.*' for reason in deaf[:1]]

@@ -16,7 +16,6 @@ from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool, Trigger
 
 from bags.errors import BagError
-from bags.interim import plain
 from bags.last_line import say
 from bags.listeners import Listeners
 from bags.live_qos import offer_for
@@ -29,9 +28,9 @@ from bags.reader import BagReader
 from bags.settings import ALL, names_of, PlayerSettings, resolved_names
 from msgs_bridge.message_types import message_class
 from msgs_bridge.node_shell import Finished, NodeShell, run_node
+from msgs_bridge.plain_text import plain
 from msgs_bridge.stamps import set_stamp
 from msgs_bridge.topics import CLOCK, CMD_VEL, IMAGE, TOPICS
-from rclpy.clock import Clock as RosClock, ClockType
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.publisher import Publisher
@@ -123,10 +122,8 @@ class BagPlayerNode(NodeShell):
         self.create_service(SetBool, '~/pause', self._on_pause)
         self.serve_hold(lambda: self._playback.hold(self.held_back))
         self.create_service(Trigger, '~/step', self._on_step)
-        # who may be the one that publishes the simulation's time does not wait for it
-        steady = RosClock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(LOOK_SECONDS, self._look, clock=steady)
-        self.create_timer(LISTENERS_SECONDS, self._listeners.look, clock=steady)
+        self.create_timer(LOOK_SECONDS, self._look)
+        self.create_timer(LISTENERS_SECONDS, self._listeners.look)
         names = ', '.join(sorted(self._outputs)) or 'no topics'
         self.get_logger().info(f'playing {settings.bag}: {plain(names, 1000)}')
         self._began = time.monotonic()

@@ -13,14 +13,12 @@ import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from bags.errors import BagError
 from bags.intake import Intake
-from bags.interim import plain
 from bags.last_line import say
 from bags.live_qos import join_profiles, Kind, kinds_of, recorded_qos, request_for
 from bags.own_memory import let_go_of_freed_memory, resident_bytes
@@ -30,6 +28,7 @@ from bags.settings import ALL, RecorderSettings, resolved_names
 from bags.writer import BagWriter
 from msgs_bridge.message_types import message_class
 from msgs_bridge.node_shell import NodeShell, PolledGroup, run_node
+from msgs_bridge.plain_text import plain
 from msgs_bridge.topics import CLOCK, TOPICS
 
 DISCOVERY_SECONDS = 0.2
@@ -116,9 +115,7 @@ class BagRecorderNode(NodeShell):
         self._intake = Intake(self._recording, self._publishers_of, depth=settings.depth)
         self._subscribe_to_contract()
         self._intake.start()
-        # a steady clock: while nobody publishes the simulation's time, topics appear all the same
-        self.create_timer(
-            DISCOVERY_SECONDS, self._discover, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.create_timer(DISCOVERY_SECONDS, self._discover)
         names = ', '.join(sorted(self._intake.topics)) or 'nothing yet'
         self.get_logger().info(f'recording {names} to {self._writer.folder}')
 
@@ -440,16 +437,9 @@ def _unused(message: object) -> None:
     """Stand in for a callback: the subscriptions are polled."""
 
 
-def _end_as_if_terminated(number: int, frame: object) -> None:
-    os.kill(os.getpid(), signal.SIGTERM)
-
-
 def main(args: list[str] | None = None) -> int:
     """Run the recorder; the exit code is 2 if the bag could not be completed."""
     os.nice(NICE)
-    # a closed terminal; nohup has it ignored, and so it stays
-    if signal.getsignal(signal.SIGHUP) is signal.SIG_DFL:
-        signal.signal(signal.SIGHUP, _end_as_if_terminated)
     return run_node(BagRecorderNode, args)
 
 

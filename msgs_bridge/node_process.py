@@ -12,6 +12,7 @@ import os
 import signal
 import sys
 import threading
+import time
 import traceback
 from typing import Any
 
@@ -21,12 +22,17 @@ from msgs_bridge.plain_text import plain
 from msgs_bridge.settings import text_table
 from msgs_bridge.transport.time_slices import shorten_time_slices
 import rclpy
+from rclpy.duration import Duration
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.utilities import get_default_context, remove_ros_args
 
 # How often the executor has its turn in a node with eager subscriptions. One turn takes 0.3 to
 # 0.5 ms in rclpy, which is as long as the car needs for four frames.
 EXECUTOR_SECONDS = 0.01
+
+# What a node that ends by itself gives its subscribers: a busy machine may let them wait, and what
+# shared memory did not hold comes with the next heartbeat, every 0.2 s.
+LAST_MESSAGES_SECONDS = 1.0
 
 HELP = ('-h', '--help')
 
@@ -177,8 +183,19 @@ def _spin_to_the_end(make_node: Callable[[], Any], arguments: list[str]) -> None
             signal.signal(number, signal.SIG_IGN)
         if node is not None:
             node.close()
+            _let_last_messages_arrive(node)
             node.destroy_node()
         rclpy.try_shutdown()
+
+
+def _let_last_messages_arrive(node: Any) -> None:
+    """Wait until subscribers have what was published, for it goes with its publisher."""
+    deadline = time.monotonic() + LAST_MESSAGES_SECONDS
+    for publisher in node.publishers:
+        left = deadline - time.monotonic()
+        # after a signal ROS is shut down, and nothing can be waited for
+        if left > 0 and rclpy.ok():
+            publisher.wait_for_all_acked(Duration(seconds=left))
 
 
 def _leave(code: int) -> None:

@@ -33,7 +33,8 @@ def main(topic: str, types: tuple) -> None:
     publishers = []
     for number, names in enumerate(types):
         get().contents.names.contents[:] = names
-        publishers.append(node.create_publisher(String, f'{topic}{number}', 10))
+        publishers.append(node.create_publisher(
+            String, topic if len(types) == 1 else f'{topic}{number}', 10))
     sys.stdout.write('announced\n')
     sys.stdout.flush()
     while True:
