@@ -16,8 +16,10 @@ from msgs_bridge.topics import IMAGE, STEP
 
 # what the joiner counts: what is missing is wrong, the rest unusual
 MISSING = {'lost_image': 'an image', 'lost_twist': 'the twist that was applied',
-           'lost_step': 'a step', 'rejected': 'a message that can be used'}
-UNUSUAL = ('duplicate', 'rewound')
+           'no_image': 'an image, of which there is none', 'no_twist': 'a twist, of which there '
+           'is none', 'lost_step': 'a step', 'rejected': 'a message that can be used'}
+UNUSUAL = ('duplicate', 'odd_step', 'rewound')
+LATE = ('lost_twist', 'lost_image', 'no_twist', 'no_image')
 
 
 @dataclasses.dataclass
@@ -70,8 +72,9 @@ def verify_bag(
             for _ in bag_transitions([reader.path], namespace=namespace, counts=counts):
                 if begun_late is None:
                     # a recorder hears of the topics one after another
-                    begun_late = counts['lost_twist'] + counts['lost_image']
-                    counts['lost_twist'] = counts['lost_image'] = 0
+                    begun_late = sum(counts[name] for name in LATE)
+                    for name in LATE:
+                        counts[name] = 0
             if begun_late:
                 notes.append(f'{begun_late} transitions at the start lack an image or a twist: '
                              'their topics were recorded later')

@@ -9,6 +9,7 @@ from msgs_bridge.transitions import TransitionJoiner
 from msgs_bridge.step import read_step, STEP_CORE
 from msgs_bridge.twists import Command
 import numpy as np
+import pytest
 
 DECISION = 80_000_000
 
@@ -21,7 +22,7 @@ def drive(episodes=2, decisions=4):
         stamp += 1_000_000_000
         for decision in range(decisions + 1):
             applied = (-1, 0) if decision == 0 else divmod(stamp - DECISION, 10**9)
-            images.append(('image', stamp, np.full((2, 2, 3), len(images), np.uint8)))
+            images.append(('image', stamp, np.full((2, 2, 3), len(images) % 256, np.uint8)))
             steps.append(('step', stamp, read_step({
                 **dict.fromkeys(STEP_CORE, 0.0), 'episode': episode, 'decision': decision,
                 'reward': float(len(steps)),
@@ -115,6 +116,106 @@ def test_time_that_goes_back_joins_nothing_across_the_break():
     assert len(joined) >= 15
 
 
+@settings(deadline=None)
+@given(strategies.lists(strategies.integers(0, 2), max_size=60), strategies.integers(1, 9))
+def test_a_simulator_that_starts_again_never_mixes_the_two_drives(order, length):
+    """However far the first came, and whatever of it was still to be used."""
+    first = [lane[:length] for lane in drive()]
+    second = [[(kind, stamp, content + 100 if kind == 'image' else content)
+               for kind, stamp, content in lane] for lane in drive(episodes=3)]
+    joiner = TransitionJoiner()
+    feed(joiner, merge(order, first))
+    joined = feed(joiner, merge(list(range(3)) * 20, second))
+    for transition in joined:
+        assert (transition.frame[0, 0, 0] < 100) == (transition.next_frame[0, 0, 0] < 100)
+    assert [key(t) for t in joined][-6:] == [
+        key(t) for t in feed(TransitionJoiner(), merge(list(range(3)) * 20, second))][-6:]
+
+
+ODD = strategies.one_of(
+    strategies.integers(0, 10**11), strategies.sampled_from([0, 1, 2**31 * 10**9, 2**62]))
+
+
+def odd_message(kind, stamp):
+    return kind, stamp, {
+        'image': np.full((2, 2, 3), 255, np.uint8), 'twist': Command(0.9, 0.9),
+        'step': read_step({**dict.fromkeys(STEP_CORE, 0.0), 'episode': 77.0, 'decision': 5.0,
+                           'applied_sec': 2.0**31 - 1}),
+    }[kind]
+
+
+@settings(deadline=None, max_examples=300)
+@given(strategies.lists(strategies.tuples(
+    strategies.sampled_from(['image', 'step', 'twist']), ODD, strategies.integers(0, 200)),
+    min_size=1, max_size=3))
+def test_an_odd_stamp_costs_what_stands_beside_it_and_nothing_later(odd):
+    lanes = drive(episodes=4, decisions=16)
+    good = merge(list(range(3)) * 100, lanes)
+    stamps = {stamp for _, stamp, _ in good}
+    odd = [(kind, stamp, place) for kind, stamp, place in odd if stamp not in stamps]
+    expected = [key(t) for t in feed(TransitionJoiner(), good)]
+    messages = list(good)
+    for kind, stamp, place in sorted(odd, key=lambda each: -each[2]):
+        messages.insert(place, odd_message(kind, stamp))
+    joiner = TransitionJoiner()
+    joined = [key(t) for t in feed(joiner, messages)]
+    assert set(joined) <= set(expected)
+    assert len(joined) >= len(expected) - 5 * len(odd)
+    # six decisions after the last odd message everything is as it was
+    last = max((place for _, _, place in odd), default=0)
+    settled = {stamp for _, stamp, _ in good[last + 18:]}
+    assert [k for k in joined if k[0] in settled] == [k for k in expected if k[0] in settled]
+
+
+@pytest.mark.parametrize('kind', ['image', 'step', 'twist'])
+def test_a_stream_of_odd_stamps_holds_nobody_up_and_takes_no_memory(kind):
+    lanes = drive(episodes=20, decisions=20)
+    good = merge(list(range(3)) * 500, lanes)
+    joiner, joined = TransitionJoiner(capacity=200), []
+    for number, message in enumerate(good):
+        joined += feed(joiner, [odd_message(kind, 2**40 + 7 * number + number % 3), message]
+                       if number < 600 else [message])
+        assert len(joiner._images) <= 200 and len(joiner._twists) <= 200
+        assert len(joiner._images._oldest) <= 600 and len(joiner._twists._oldest) <= 600
+    tail = [k for k in (key(t) for t in joined) if k[0] > good[660][1]]
+    expected = [key(t) for t in feed(TransitionJoiner(), good) if t.stamp > good[660][1]]
+    assert tail == expected and len(tail) > 150
+
+
+def test_a_step_that_says_that_a_later_twist_was_applied_is_not_waited_for():
+    images, steps, twists = drive(episodes=1, decisions=8)
+    place, stamp, step = steps[3]
+    steps[3] = (place, stamp, dataclasses.replace(step, applied=2**62))
+    joiner = TransitionJoiner()
+    assert len(feed(joiner, merge(list(range(3)) * 10, (images, steps, twists)))) == 7
+    assert joiner.counts['lost_twist'] == 1
+
+
+def test_twists_with_stamps_of_the_wall_clock_are_joined():
+    wall = 1_700_000_000 * 10**9
+    images, steps, twists = drive(episodes=1, decisions=8)
+    twists = [(kind, wall + stamp, command) for kind, stamp, command in twists]
+    steps = [(kind, stamp, step if step.applied is None else
+              dataclasses.replace(step, applied=wall + step.applied))
+             for kind, stamp, step in steps]
+    joiner = TransitionJoiner()
+    assert len(feed(joiner, merge([2, 0, 1] * 10, (images, steps, twists)))) == 8
+
+
+def test_a_pause_of_hours_between_two_frames_is_no_rewind():
+    images, steps, twists = drive(episodes=1, decisions=8)
+
+    def later(lane):
+        return [(kind, stamp + (10**13 if place > 3 else 0), content)
+                for place, (kind, stamp, content) in enumerate(lane)]
+    steps = [(kind, stamp, dataclasses.replace(step, applied=step.applied + 10**13)
+              if place > 4 else step)
+             for place, (kind, stamp, step) in enumerate(later(steps))]
+    joiner = TransitionJoiner()
+    joined = feed(joiner, merge(list(range(3)) * 10, (later(images), steps, later(twists))))
+    assert len(joined) == 8 and not joiner.counts['rewound']
+
+
 def test_memory_is_bounded_when_a_topic_is_silent():
     joiner = TransitionJoiner(capacity=50)
     for number in range(1000):
@@ -122,4 +223,32 @@ def test_memory_is_bounded_when_a_topic_is_silent():
         joiner.add_step(number, read_step({
             **dict.fromkeys(STEP_CORE, 0.0), 'decision': number,
             'applied_nanosec': max(number - 1, 0)}))
-    assert len(joiner._images.items) <= 50 and len(joiner._steps) <= 50
+    assert len(joiner._images) <= 50 and len(joiner._steps) <= 50
+    # said as what it is: nothing of that topic has ever come
+    assert joiner.counts['no_twist'] == 1000 - 50
+    assert (joiner.missing, joiner.waiting) == ('cmd_vel', 49)
+
+
+def test_images_are_bounded_in_bytes():
+    joiner = TransitionJoiner(image_bytes=10_000_000)
+    frame = np.zeros((640, 480, 3), np.uint8)
+    for number in range(100):
+        joiner.add_image(number * DECISION, frame)
+        assert joiner.held_bytes <= 10_000_000
+    assert joiner.held_bytes > 9_000_000
+    joiner.add_image(100 * DECISION, np.zeros((2000, 2000, 3), np.uint8))
+    assert joiner.held_bytes == 0
+
+
+def test_it_says_what_it_waits_for():
+    images, steps, twists = drive(episodes=1, decisions=8)
+    joiner = TransitionJoiner()
+    assert joiner.missing == 'step'
+    feed(joiner, steps[:4])
+    assert (joiner.missing, joiner.waiting) == ('image_raw', 3)
+    feed(joiner, images[:3])
+    assert (joiner.missing, joiner.waiting) == ('cmd_vel', 3)
+    feed(joiner, twists[:8])
+    assert (joiner.missing, joiner.waiting) == ('image_raw', 1)
+    feed(joiner, images[3:4])
+    assert (joiner.missing, joiner.waiting) == ('', 0)
