@@ -31,7 +31,7 @@ from dqn_policy_node.model_description import FRAME_SIDE
 from dqn_policy_node.pilot import Pilot
 from dqn_policy_node.policy import Answer, load_policy, Policy, RandomPolicy
 from dqn_policy_node.settings import PolicySettings
-from dqn_policy_node.shipped_models import find_model
+from dqn_policy_node.shipped_models import RANDOM
 from dqn_policy_node.weights_message import decode_weights, NewestWeights
 from geometry_msgs.msg import Twist, TwistStamped
 from msgs_bridge import topics
@@ -45,7 +45,6 @@ from std_srvs.srv import SetBool
 import torch
 
 NO_MODEL = ''
-RANDOM_MODEL = 'random'
 # of weights only the last is of use, but a reader that keeps few goes deaf in a flood
 WEIGHTS_DEPTH = 100
 # without an image for so long nothing drives; seconds
@@ -65,10 +64,10 @@ class DqnPolicyNode(NodeShell):
         torch.set_num_threads(1)
         self._commands = CommandStage(settings)
         self._newest = NewestWeights()
-        if settings.model == RANDOM_MODEL:
+        if settings.model == RANDOM:
             self._take_policy(RandomPolicy(DUMMY_SPACE))
         elif settings.model != NO_MODEL:
-            self._take_policy(load_policy(find_model(settings.model), device=self._device))
+            self._take_policy(load_policy(settings.model, device=self._device))
         self._cmd_vel = self.publisher(
             topics.CMD_VEL,
             type_name=None if settings.cmd_vel_stamped else 'geometry_msgs/msg/Twist')

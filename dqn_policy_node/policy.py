@@ -17,6 +17,7 @@ from dqn_policy_node.model_description import ModelDescription
 from dqn_policy_node.model_folder import load_model
 from dqn_policy_node.network import QNetwork
 from dqn_policy_node.preprocessing import Preprocessor
+from dqn_policy_node.shipped_models import find_model
 from dqn_policy_node.weights_message import WeightsUpdate
 from msgs_bridge.stamps import NANOSECONDS
 from msgs_bridge.twists import Command
@@ -256,10 +257,11 @@ def load_policy(
     frame_seconds: float = CARRACING_FRAME_SECONDS,
 ) -> Policy:
     """
-    Return the greedy policy of a model folder.
+    Return the greedy policy of a model.
 
     Args:
-        folder: folder with `model.json` and `weights.safetensors`.
+        folder: folder with `model.json` and `weights.safetensors`, or the name of a model that
+            comes with the package.
         device: where to compute, as PyTorch names it.
         seed: seed of the exploration, for when `epsilon` is raised.
         frame_seconds: as `Policy` takes it.
@@ -267,7 +269,7 @@ def load_policy(
     Raises:
         ModelError: the folder cannot be used; the text names the file and what is wrong.
     """
-    model = load_model(folder)
+    model = load_model(find_model(folder))
     policy = Policy(model.description, device=device, seed=seed, frame_seconds=frame_seconds)
     policy.swap_weights(WeightsUpdate(model.tensors, model.description, model.version))
     return policy

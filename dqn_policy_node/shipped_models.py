@@ -6,7 +6,13 @@ from __future__ import annotations
 from pathlib import Path
 
 from dqn_policy_node.errors import ModelError
-from msgs_bridge.share import share_path
+from msgs_bridge.share import share_folders, share_path
+
+RANDOM = 'random'
+"""In place of a model: uniform random actions, the dummy agent."""
+
+MAX_SHOWN = 100
+"""Characters of a name that an error quotes."""
 
 
 def find_model(name_or_path: Path | str) -> Path:
@@ -19,16 +25,15 @@ def find_model(name_or_path: Path | str) -> Path:
     path = Path(name_or_path).expanduser()
     if (path / 'model.json').is_file():
         return path
-    try:
+    shipped = shipped_models()
+    if str(name_or_path) in shipped:
         return share_path(Path('models') / name_or_path)
-    except FileNotFoundError:
-        raise ModelError(f'no model folder {str(name_or_path)!r}, neither as a path nor among '
-                         f'the models of the package, which are {_shipped()}') from None
+    raise ModelError(
+        f'no model {str(name_or_path)[:MAX_SHOWN]!r}: neither a folder with model.json nor one of '
+        f'the shipped, which are {", ".join(shipped) or "none"}')
 
 
-def _shipped() -> str:
-    try:
-        folders = share_path('models').iterdir()
-    except FileNotFoundError:
-        return 'none'
-    return ', '.join(sorted(folder.name for folder in folders if folder.is_dir()))
+def shipped_models() -> list[str]:
+    """Return the names of the models that come with the package."""
+    return sorted({path.parent.name for folder in share_folders()
+                   for path in folder.glob('models/*/model.json')})

@@ -1,18 +1,27 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
 """Launch simulator and policy: the car drives."""
+from carracing_dqn.bringup.graph import driving_graph
+from carracing_dqn.bringup.launch_graph import launch_actions
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
-from launch_ros.actions import Node
+
+
+def nodes(context: object) -> list:
+    """Return what starts the nodes, as the arguments say."""
+    def value(name: str) -> str:
+        return LaunchConfiguration(name).perform(context)
+
+    return launch_actions(driving_graph(
+        model=value('model'), seed=int(value('seed')), stepping=value('stepping'),
+        action_repeat=int(value('action_repeat'))), value('namespace'))
 
 
 def generate_launch_description() -> LaunchDescription:
     """Return the nodes and their arguments."""
-    value = LaunchConfiguration
     return LaunchDescription([
-        DeclareLaunchArgument('namespace', default_value='',
-                              description='namespace of all nodes'),
+        DeclareLaunchArgument('namespace', default_value='', description='namespace of all nodes'),
         DeclareLaunchArgument('model', default_value='racing',
                               description='model folder, name of a shipped model, or random'),
         DeclareLaunchArgument('stepping', default_value='real_time',
@@ -20,16 +29,6 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument('action_repeat', default_value='1',
                               description='simulator frames per published frame'),
         DeclareLaunchArgument('seed', default_value='420',
-                              description='seed of the first track'),
-        Node(package='carracing_dqn', executable='carracing_sim_node',
-             namespace=value('namespace'),
-             output='screen', parameters=[{
-                 'stepping': value('stepping'),
-                 'action_repeat': value('action_repeat'),
-                 'seed': value('seed'),
-             }]),
-        Node(package='carracing_dqn', executable='dqn_policy_node', namespace=value('namespace'),
-             output='screen', parameters=[{
-                 'model': value('model'),
-             }]),
+                              description='seed of the first track; the next ones count up'),
+        OpaqueFunction(function=nodes),
     ])

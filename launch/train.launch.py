@@ -1,39 +1,22 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
 """Launch trainer, simulator, policy and validator: the car learns."""
+from carracing_dqn.bringup.graph import training_graph
+from carracing_dqn.bringup.launch_graph import launch_actions
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, EmitEvent, OpaqueFunction, RegisterEventHandler
-from launch.event_handlers import OnProcessExit
-from launch.events import Shutdown
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
-from launch_ros.actions import Node
 from trainer_node.hyperparameters import load_preset
 
 
 def nodes(context: object) -> list:
-    """Return the nodes, set up as the preset says."""
+    """Return what starts the nodes, set up as the preset says."""
     def value(name: str) -> str:
         return LaunchConfiguration(name).perform(context)
 
-    preset = load_preset(value('preset'))
-    common = {'package': 'carracing_dqn', 'namespace': value('namespace'), 'output': 'screen'}
-    trainer = Node(
-        executable='trainer_node', **common,
-        parameters=[{'run': value('run'), 'preset': value('preset')}])
-    return [
-        trainer,
-        Node(executable='dqn_policy_node', **common,
-             parameters=[{'model': '', 'explore': True, 'seed': preset.seed,
-                          'wait_for_subscribers': 2}]),
-        Node(executable='validation_node', **common,
-             parameters=[{'seed': preset.validation_seed, 'tracks': preset.validation_tracks}]),
-        Node(executable='carracing_sim_node', **common, parameters=[{
-            **preset.simulator_parameters(),
-            'wait_for_subscribers': 1,
-        }]),
-        RegisterEventHandler(OnProcessExit(
-            target_action=trainer, on_exit=[EmitEvent(event=Shutdown(reason='run complete'))])),
-    ]
+    return launch_actions(training_graph(
+        load_preset(value('preset')),
+        trainer={'run': value('run'), 'preset': value('preset')}), value('namespace'))
 
 
 def generate_launch_description() -> LaunchDescription:

@@ -36,6 +36,8 @@ LAST_MESSAGES_SECONDS = 1.0
 
 HELP = ('-h', '--help')
 
+STOPPED = 130
+
 
 class Finished(Exception):
     """Raised in a callback by a node whose work is done; the process ends with code 0."""
@@ -58,10 +60,13 @@ class Started:
     Attributes:
         arguments: what followed the name of the program.
         describe_only: whether nodes are to raise `HelpWanted` instead of joining a graph.
+        stopped_code: exit code of a node that a signal has stopped. It is 0, because launch calls
+            everything else a death; who must tell that from finished work sets `STOPPED`.
     """
 
     arguments: Sequence[str] = ()
     describe_only: bool = False
+    stopped_code: int = 0
 
 
 STARTED = Started()
@@ -72,7 +77,8 @@ def run_node(make_node: Callable[[], Any], args: list[str] | None = None) -> int
     Run one node until SIGINT, SIGTERM, SIGHUP or shutdown, and end the process.
 
     `--help` describes it. A `BridgeError` while starting or running ends it with one line and
-    code 2, an unexpected error with its traceback and code 1, anything else with code 0.
+    code 2, an unexpected error with its traceback and code 1, anything else with code 0 (see
+    `Started.stopped_code`).
 
     Args:
         make_node: makes a `NodeShell`.
@@ -91,7 +97,8 @@ def run_node(make_node: Callable[[], Any], args: list[str] | None = None) -> int
         else:
             stay_on_this_host()
             STARTED.arguments = arguments
-            _spin_to_the_end(make_node, arguments)
+            finished = _spin_to_the_end(make_node, arguments)
+            code = 0 if finished else STARTED.stopped_code
     except BridgeError as error:
         sys.stderr.write(f'error: {error}\n')
         code = 2
@@ -155,7 +162,8 @@ def _end_on_hangup() -> None:
     threading.Thread(target=pass_on, name='hangup', daemon=True).start()
 
 
-def _spin_to_the_end(make_node: Callable[[], Any], arguments: list[str]) -> None:
+def _spin_to_the_end(make_node: Callable[[], Any], arguments: list[str]) -> bool:
+    """Run one node; return whether it has finished its work, and was not stopped by a signal."""
     with _told_in_a_line('ROS does not start'):
         rclpy.init(args=arguments)
     _end_on_hangup()
@@ -171,7 +179,9 @@ def _spin_to_the_end(make_node: Callable[[], Any], arguments: list[str]) -> None
                 node.take_eagerly(EXECUTOR_SECONDS)
         else:
             executor.spin()
-    except (KeyboardInterrupt, ExternalShutdownException, Finished):
+    except Finished:
+        return True
+    except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except Exception:
         # a signal in the middle of a callback makes any call of rclpy fail
@@ -186,6 +196,7 @@ def _spin_to_the_end(make_node: Callable[[], Any], arguments: list[str]) -> None
             _let_last_messages_arrive(node)
             node.destroy_node()
         rclpy.try_shutdown()
+    return False
 
 
 def _let_last_messages_arrive(node: Any) -> None:

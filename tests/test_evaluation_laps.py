@@ -1,6 +1,7 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
 """Real laps: both simulators, any number of processes, any policy."""
+import os
 import sys
 
 from carracing_dqn.evaluation.errors import EvaluationError, PolicyError
@@ -148,13 +149,18 @@ def test_a_policy_that_is_none_is_refused(text, message):
 
 def _die():
     def work(job):
+        if job == 'die':
+            os._exit(3)
         sys.exit(3) if job == 'exit' else None
         raise RuntimeError(f'cannot do {job}')
     return work
 
 
 def test_a_worker_that_dies_or_fails_ends_the_work():
-    with pytest.raises(EvaluationError, match='exit code 3'):
+    for jobs in (['die'], ['die', 'this', 'that'], ['die'] * 5):
+        with pytest.raises(EvaluationError, match='died'):
+            list(run_jobs(_die, jobs, 2))
+    with pytest.raises(EvaluationError, match='SystemExit: 3'):
         list(run_jobs(_die, ['exit'], 1))
     with pytest.raises(EvaluationError, match='cannot do this'):
         list(run_jobs(_die, ['this', 'that'], 1))

@@ -8,11 +8,18 @@ import json
 from carracing_dqn.bringup.command import main as carracing
 from carracing_dqn.evaluation import evaluate_command
 from carracing_dqn.evaluation.errors import EvaluationError, ResultsError
+from carracing_dqn.evaluation.policies import PolicySource
 from carracing_dqn.evaluation.results import COLUMNS, read_json, resume, write_csv, write_json
 from evaluation_cases import results
 import pytest
 
 POLICY = {'kind': 'model', 'name': 'model'}
+
+
+@pytest.fixture(autouse=True)
+def own_folder(tmp_path, monkeypatch):
+    """Laps are kept below the current folder when nothing else is said."""
+    monkeypatch.chdir(tmp_path)
 
 
 def evaluate(*words):
@@ -99,7 +106,36 @@ def test_ctrl_c_keeps_the_laps(tmp_path, monkeypatch, capsys):
     assert json.loads(path.read_text())['complete'] is False
 
 
+def test_laps_are_kept_without_being_asked_for(tmp_path, monkeypatch, capsys):
+    def interrupted(source, seeds, **_):
+        yield from list(results([700, 800]).laps.values())
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(evaluate_command, 'drive_laps', interrupted)
+    assert evaluate('--policy', 'random') == evaluate('--policy', 'random') == 130
+    first, second = sorted((tmp_path / 'runs').iterdir())
+    assert len(read_json(first).laps) == len(read_json(second).laps) == 2
+    said = capsys.readouterr().err.splitlines()
+    assert any(line.endswith(f'--json runs/{first.name} goes on') for line in said)
+
+
+def test_laps_of_the_model_of_a_run_are_kept_with_the_run(tmp_path):
+    (tmp_path / 'run' / 'best').mkdir(parents=True)
+    source = PolicySource('model', str(tmp_path / 'run' / 'best'))
+    assert source.run_folder is None
+    (tmp_path / 'run' / 'episodes.csv').touch()
+    assert evaluate_command._new_file(source).parent == tmp_path / 'run'
+
+
+def test_a_place_that_cannot_be_written_is_said_before_anything_is_driven(monkeypatch, capsys):
+    monkeypatch.setattr('os.access', lambda *_: False)
+    monkeypatch.setattr(evaluate_command, 'drive_laps', None)
+    assert evaluate('--policy', 'random') == 2
+    assert 'cannot be written' in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(('words', 'message'), [
+    (['--model', 'racing', '--policy', 'random'], 'only one can drive'),
     (['--episodes', 0], 'episodes is 0'), (['--processes', 0], 'processes is 0'),
     (['--seed', -1], 'seed is -1'), (['--seed', 2**31], 'seed is'),
     (['--action-repeat', 51], 'action-repeat is 51'), (['--action-repeat', 2], 'for models'),

@@ -4,6 +4,7 @@
 import csv
 import os
 import signal
+import subprocess
 import time
 
 from bags.transitions import bag_transitions
@@ -52,6 +53,13 @@ def decisions(run):
         return 0
 
 
+def node_of(process, module):
+    """Return the process of a node of a command."""
+    found = subprocess.run(['pgrep', '-P', str(process.pid), '-f', '--', f'-m {module} '],
+                           capture_output=True, text=True)
+    return int(found.stdout)
+
+
 def stop(process, number=signal.SIGINT):
     """Stop a command as a user would; return the seconds it took and what it said."""
     started = time.monotonic()
@@ -98,14 +106,13 @@ def test_a_node_that_dies_ends_the_run_with_its_name_and_the_run_can_go_on(prese
     try:
         checkpoint = RunFolder(run).checkpoint
         wait_for(lambda: checkpoint.exists() and decisions(run) > 50, 60, 'a checkpoint')
-        trainer = int(os.popen(
-            f"pgrep -f 'trainer_node --ros-args.*{run}' | head -n 1").read())
-        os.kill(trainer, signal.SIGKILL)
+        os.kill(node_of(process, 'trainer_node'), signal.SIGKILL)
         said, _ = process.communicate(timeout=20)
     finally:
         process.kill()
     assert process.returncode == 2
     assert 'error: trainer ended with signal SIGKILL' in said
+    assert said.splitlines()[-1].endswith(f'go on with: carracing train --resume {run}')
     before = learning(run)['decisions']
     result = carracing('train', '--resume', str(run), '--set',
                        f'run_decisions={before + 60}', timeout=90)
@@ -154,7 +161,8 @@ def test_run_drives_laps_and_leaves_a_bag(tmp_path):
     (('train', '--set', 'gamma=1.5'), 'gamma is 1.5; accepted: 0 to 1'),
     (('train', '--set', 'gamma'), 'expected NAME=VALUE'),
     (('train', '--resume', 'nowhere'), 'nowhere is no run folder'),
-    (('run', '--model', 'nothing'), "no model folder 'nothing'"),
+    (('run', '--model', 'nothing'), "no model 'nothing': neither"),
+    (('run', '--model', 'nothing'), 'of the shipped, which are racing, report'),
     (('run', '--laps', '-1'), '--laps is -1'),
 ])
 def test_mistakes_on_the_command_line_are_one_line_and_leave_nothing(words, error, tmp_path):

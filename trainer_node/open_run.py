@@ -51,9 +51,9 @@ def run_settings(
     return load_preset(run.config, overrides)
 
 
-def resume_point(folder: Path | str, settings: Hyperparameters) -> int:
+def resume_point(folder: Path | str, settings: Hyperparameters) -> tuple[int, int]:
     """
-    Return how many training episodes a run has behind it; 0 when it has no checkpoint yet.
+    Return episodes and decisions that a run has behind it; 0 when it has no checkpoint yet.
 
     Raises:
         RunError: it cannot go on with these settings, or its folder cannot be written.
@@ -61,14 +61,15 @@ def resume_point(folder: Path | str, settings: Hyperparameters) -> int:
     run = RunFolder(folder)
     run.check_writable()
     if run.unfinished_start:
-        return 0
+        return 0, 0
     saved = Checkpoint(run.checkpoint).read()
     refuse_differences(settings, saved.settings, run.path)
     learning = saved.state.get('learning')
-    episodes = learning.get('episodes') if isinstance(learning, dict) else None
-    if type(episodes) is not int or episodes < 0:
+    counts = [learning.get(name) if isinstance(learning, dict) else None
+              for name in ('episodes', 'decisions')]
+    if not all(type(count) is int and count >= 0 for count in counts):
         raise RunError(f'{run.checkpoint}: damaged checkpoint: it counts no episodes')
-    return episodes
+    return counts[0], counts[1]
 
 
 def open_training(

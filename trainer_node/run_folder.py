@@ -1,19 +1,15 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The folder of a run: what lies where, and what is known of the machine it ran on.
+The folder of a run: what lies where.
 
 `docs/architecture.md` has the table of its files.
 """
 from __future__ import annotations
 
 from datetime import datetime, timezone
-import importlib.metadata
 import json
-import os
 from pathlib import Path
-import platform
-import subprocess
 import tempfile
 from typing import Any
 
@@ -22,8 +18,6 @@ from msgs_bridge.regular_file import read_regular
 from trainer_node.errors import RunError
 
 MAX_RECORD_BYTES = 16 * 2**20
-LIBRARIES = ('torch', 'numpy', 'gymnasium', 'safetensors')
-
 
 class RunFolder:
     """Paths of a run folder, and its `run.json`."""
@@ -99,48 +93,6 @@ class RunFolder:
         write_text(self.record, json.dumps(record, indent=1) + '\n')
 
 
-def describe_machine() -> dict[str, Any]:
-    """Return code version, machine, library versions and load, for the record of a run."""
-    return {
-        'code': code_version(),
-        'python': platform.python_version(),
-        'system': platform.platform(),
-        'processor': _processor(),
-        'cores': len(os.sched_getaffinity(0)),
-        'libraries': {name: _version(name) for name in LIBRARIES},
-        'load_average': list(os.getloadavg()),
-    }
-
-
-def code_version() -> str:
-    """Return the version of the package and, in a checkout, of the commit."""
-    version = _version('carracing_dqn')
-    try:
-        commit = subprocess.run(
-            ['git', 'describe', '--always', '--dirty'], cwd=Path(__file__).parent,
-            capture_output=True, text=True, timeout=5, check=True).stdout.strip()
-    except (OSError, subprocess.SubprocessError):
-        return version
-    return f'{version} ({commit})'
-
-
 def now() -> str:
     """Return the time of day in UTC, to the second."""
     return datetime.now(timezone.utc).isoformat(timespec='seconds')
-
-
-def _version(name: str) -> str:
-    try:
-        return importlib.metadata.version(name)
-    except importlib.metadata.PackageNotFoundError:
-        return 'not installed'
-
-
-def _processor() -> str:
-    try:
-        for line in Path('/proc/cpuinfo').read_text().splitlines():
-            if line.startswith('model name'):
-                return line.partition(':')[2].strip()
-    except OSError:
-        pass
-    return platform.processor() or platform.machine()

@@ -24,13 +24,14 @@ from dqn_policy_node.model_description import ModelDescription
 from dqn_policy_node.model_folder import Model, save_model
 from dqn_policy_node.weights_message import encode_weights
 from msgs_bridge.atomic_write import write_text
+from msgs_bridge.machine import describe_machine
 from msgs_bridge.transitions import Transition
 from trainer_node.checkpoint import Checkpoint, Part, refuse_differences
 from trainer_node.errors import LearningError, RunError
 from trainer_node.hyperparameters import Hyperparameters, to_yaml
 from trainer_node.learning import Learning
 from trainer_node.model_selection import ModelSelection, Moment
-from trainer_node.run_folder import describe_machine, now, RunFolder
+from trainer_node.run_folder import now, RunFolder
 from trainer_node.run_record import RunRecord
 from trainer_node.saved_state import Seconds
 

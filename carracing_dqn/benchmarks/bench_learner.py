@@ -26,10 +26,10 @@ import torch
 
 from dqn_policy_node.action_space import action_space, DUMMY_SPACE
 from dqn_policy_node.model_description import ModelDescription
+from msgs_bridge.machine import describe_machine
 from trainer_node.hyperparameters import Hyperparameters, load_preset
 from trainer_node.learner import make_learner
 from trainer_node.replay_buffer import ReplayBuffer
-from trainer_node.run_folder import describe_machine
 
 SIDE, STACK, BATCH = 84, 4, 32
 HELD = 5000

@@ -5,9 +5,14 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import io
+import os
+import signal
 import sys
+from typing import NoReturn
 
 from msgs_bridge.errors import BridgeError
+from msgs_bridge.plain_text import plain
 
 SUBCOMMANDS = {
     'run': ('carracing_dqn.bringup.run_command',
@@ -22,12 +27,56 @@ SUBCOMMANDS = {
     'bench': ('carracing_dqn.bringup.bench_command', "benchmarks, each figure beside its peer's"),
 }
 
+NODES_THEMSELVES = ('bag',)
+"""Subcommands that may become a node, whose signals are ROS' own matter."""
+
+MAX_ERROR = 1000
+"""Characters of an error; paths may be long."""
+
+ERROR = 2
+INTERRUPTED = 128 + signal.SIGINT
+READER_GONE = 128 + signal.SIGPIPE
+
+
+class Parser(argparse.ArgumentParser):
+    """An argument parser whose errors are one line, as all errors of the command are."""
+
+    def error(self, message: str) -> NoReturn:
+        """Raise BridgeError with what was wrong and where to look."""
+        raise BridgeError(f'{message}; see {self.prog} --help')
+
 
 def main(words: list[str] | None = None) -> int:
     """Run a subcommand; return the exit code. Errors are one line on stderr and code 2."""
     words = sys.argv[1:] if words is None else words
-    parser = argparse.ArgumentParser(prog='carracing', description=__doc__)
-    subparsers = parser.add_subparsers(dest='subcommand', metavar='COMMAND', required=True)
+    for stream in (sys.stdout, sys.stderr):
+        # where a terminal cannot show a sign, another stands for it
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors='replace')
+    try:
+        return _run(words)
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    except BrokenPipeError:
+        # who read our output has gone; what is left in the buffer has nowhere to go
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return READER_GONE
+    except BridgeError as error:
+        reason = str(error)
+    except ModuleNotFoundError as error:
+        reason = missing_package(error)
+    except OSError as error:
+        cause = error.strerror or str(error)
+        reason = f'{error.filename}: {cause}' if error.filename else cause
+    except MemoryError:
+        reason = 'the memory does not suffice'
+    sys.stderr.write(f'error: {plain(reason, MAX_ERROR)}\n')
+    return ERROR
+
+
+def _run(words: list[str]) -> int:
+    parser = Parser(prog='carracing', description=__doc__)
+    subparsers = parser.add_subparsers(dest='subcommand', metavar='COMMAND')
     for name, (module_name, text) in SUBCOMMANDS.items():
         subparser = subparsers.add_parser(name, help=text, description=text)
         # only the module that is asked for is imported: torch alone takes seconds
@@ -35,13 +84,30 @@ def main(words: list[str] | None = None) -> int:
             module = importlib.import_module(module_name)
             module.add_arguments(subparser)
     arguments = parser.parse_args(words)
-    try:
-        return module.main(arguments)
-    except BridgeError as error:
-        sys.stderr.write(f'error: {error}\n')
-        return 2
-    except KeyboardInterrupt:
-        return 130
+    if arguments.subcommand is None:
+        parser.print_help()
+        return 0
+    if arguments.subcommand not in NODES_THEMSELVES:
+        stop_on_signals()
+    return module.main(arguments)
+
+
+def stop_on_signals() -> None:
+    """Make SIGTERM, and SIGHUP unless it is ignored (nohup), end a command as Ctrl-C does."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, signal.default_int_handler)
+
+
+def missing_package(error: ModuleNotFoundError) -> str:
+    """Return what to say of a package that is not installed; raises the error if it is ours."""
+    package = (error.name or '').partition('.')[0]
+    if package in ('', 'bags', 'carracing_dqn', 'carracing_sim_node', 'dqn_policy_node',
+                   'msgs_bridge', 'trainer_node'):
+        raise error
+    return (f'the Python package {package!r} is not installed; rclpy and the messages come with '
+            "an installed ROS 2 (source its setup.bash) or with pip install '.[wheels]', the rest "
+            'with pip install .')
 
 
 if __name__ == '__main__':

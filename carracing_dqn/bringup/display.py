@@ -7,6 +7,7 @@ from collections.abc import Callable
 import time
 
 from carracing_dqn.bringup.monitor import GraphState
+from msgs_bridge.terminal import say
 from rich.console import Console, RenderableType
 from rich.live import Live
 
@@ -22,31 +23,50 @@ class Display:
     """
 
     def __init__(
-        self, state: GraphState, table: Callable[[GraphState], RenderableType],
-        line: Callable[[GraphState], str], console: Console | None = None,
+        self, state: GraphState, table: Callable[[GraphState, int], RenderableType],
+        line: Callable[[GraphState], str], console: Console,
     ) -> None:
-        """Show `table(state)` on a terminal, or `line(state)` now and then elsewhere."""
+        """Show `table(state, rows of the terminal)`, or `line(state)` now and then elsewhere."""
         self._state, self._table, self._line = state, table, line
-        self.console = console or Console()
+        self._console = console
         self._live: Live | None = None
         self._next_line = 0.0
-        self._episodes_shown = 0
+        self._said = ''
 
     def __enter__(self) -> Display:
-        if self.console.is_terminal:
-            self._live = Live(console=self.console, refresh_per_second=4, transient=False)
+        if self._console.is_terminal:
+            self._live = Live(console=self._console, refresh_per_second=4, transient=False)
             self._live.__enter__()
         return self
 
     def __exit__(self, *details: object) -> None:
         if self._live is not None:
-            self._live.update(self._table(self._state))
+            self._live.update(self._now())
             self._live.__exit__(*details)
 
     def update(self) -> None:
         """Show the present state."""
         if self._live is not None:
-            self._live.update(self._table(self._state))
+            self._live.update(self._now())
         elif time.monotonic() >= self._next_line:
             self._next_line = time.monotonic() + LINE_SECONDS
-            self.console.print(self._line(self._state), highlight=False)
+            self._say_state()
+
+    def finish(self) -> None:
+        """Show the last state where no table stands."""
+        if self._live is None:
+            self._say_state()
+
+    def say(self, text: str) -> None:
+        """Print a line."""
+        say(self._console, text)
+
+    def _now(self) -> RenderableType:
+        return self._table(self._state, self._console.height)
+
+    def _say_state(self) -> None:
+        line = self._line(self._state)
+        # in a log, a line that says nothing new is one too many
+        if line != self._said:
+            self._said = line
+            self.say(line)

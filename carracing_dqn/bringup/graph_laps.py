@@ -9,10 +9,13 @@ from pathlib import Path
 import tempfile
 import time
 
-from carracing_dqn.bringup.models import action_repeat, RANDOM
+from carracing_dqn.bringup.graph import driving_graph, Graph
+from carracing_dqn.bringup.models import action_repeat, as_parameter, identity
 from carracing_dqn.bringup.monitor import Monitor
-from carracing_dqn.bringup.processes import node_command, ProcessGroup
-from carracing_dqn.bringup.provenance import provenance_text
+from carracing_dqn.bringup.processes import ProcessGroup
+from carracing_dqn.bringup.provenance import with_provenance
+from carracing_dqn.bringup.supervise import check_machine, look
+from dqn_policy_node.shipped_models import RANDOM
 from msgs_bridge.errors import BridgeError
 
 LAST_SUMMARY_SECONDS = 2.0
@@ -29,32 +32,32 @@ def run_graph(model: str, seeds: range, bag: Path | None) -> Iterator[dict[str, 
         bag: folder of a new bag, or None.
 
     Raises:
-        BridgeError: a node died, or the bag folder is there already.
+        BridgeError: a node ended early, or the bag folder is there already.
     """
     if bag is not None and bag.exists():
         raise BridgeError(f'{bag} exists already; choose another folder for the bag')
-    simulator: dict[str, object] = {
-        'seed': seeds.start, 'seed_each_episode': True, 'episodes': len(seeds),
-        'action_repeat': action_repeat(model),
-        'wait_for_subscribers': 0 if bag is None else 1,
-    }
-    policy: dict[str, object] = {
-        'model': model, 'hot_swap': False, 'wait_for_subscribers': 1 if bag is None else 2}
-    if model == RANDOM:
-        policy['seed'] = seeds.start
+    check_machine()
     space = f'evaluate_{os.getpid()}'
     monitor = Monitor(space)
     try:
         with tempfile.TemporaryDirectory() as logs, ProcessGroup(Path(logs)) as group:
-            if bag is not None:
-                group.start('recorder', node_command('bags.recorder_node', {
-                    'folder': str(bag),
-                    'provenance': provenance_text(simulator=simulator, policy=policy)}, space))
-            group.start('policy', node_command('dqn_policy_node', policy, space))
-            group.start('simulator', node_command('carracing_sim_node', simulator, space))
+            folder = Path(logs) if bag is None else bag.resolve().parent
+            group.start_graph(_graph(model, seeds, bag, folder), space, folder)
             yield from _summaries(group, monitor, len(seeds))
+            group.stop()
+            group.check_ends()
     finally:
         monitor.close()
+
+
+def _graph(model: str, seeds: range, bag: Path | None, folder: Path) -> Graph:
+    policy: dict[str, object] = {'hot_swap': False}
+    if model == RANDOM:
+        policy['seed'] = seeds.start
+    return with_provenance(driving_graph(
+        model=as_parameter(model, folder), seed=seeds.start, episodes=len(seeds),
+        action_repeat=action_repeat(model), policy=policy,
+        bag=None if bag is None else bag.name), model=identity(model))
 
 
 def _summaries(
@@ -66,7 +69,7 @@ def _summaries(
         while monitor.state.episodes:
             yield monitor.state.episodes.popleft()
             wanted -= 1
-        if give_up_at is None and group.check() is not None:
+        if give_up_at is None and look(group, monitor) is not None:
             give_up_at = time.monotonic() + LAST_SUMMARY_SECONDS
         if give_up_at is not None and time.monotonic() > give_up_at:
             return

@@ -4,75 +4,129 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 import dataclasses
 import threading
+from typing import Any
 
+from carracing_dqn.bringup.graph import KINDS
 from msgs_bridge import topics
+from msgs_bridge.errors import BridgeError, MessageError
 from msgs_bridge.host_only import stay_on_this_host
 from msgs_bridge.message_types import message_class
 from msgs_bridge.named_values import read_named_values
+from msgs_bridge.plain_text import plain
 from msgs_bridge.qos import qos_profile
 from msgs_bridge.step import EPISODE_CORE, VALIDATION_FIELDS
 import rclpy
 from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.exceptions import InvalidNamespaceException
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
+from rclpy.validate_namespace import validate_namespace
 
-MOVING_AVERAGE = 20
-"""Episodes in the moving average of the display."""
+# What is kept, whoever publishes it: everything here has a bound.
+KEPT_RESULTS = 100
+MAX_VALUES = 128
+
+NODES = frozenset(kind.name for kind in KINDS)
+SUMMARY = 'summary'
+"""Key of a node's summary among its diagnostics values."""
 
 
 @dataclasses.dataclass
 class GraphState:
     """
-    The newest word of every node.
+    The newest word of every node of ours in one namespace.
 
     Attributes:
-        episodes: summaries of the episodes seen, oldest first.
-        validations: results of validation, oldest first.
-        health: diagnostics values by node name (without namespace).
+        namespace: absolute, without a slash at its end: '' is the root.
+        episodes: the newest episodes that have ended, oldest first.
+        ended: how many episodes have ended.
+        return_sum: sum of their returns.
+        validations: the newest results of validation, oldest first.
+        health: diagnostics values by full node name, the summary among them.
+        rejected: messages that could not be used.
     """
 
-    episodes: deque = dataclasses.field(default_factory=lambda: deque(maxlen=1000))
-    validations: deque = dataclasses.field(default_factory=lambda: deque(maxlen=1000))
+    namespace: str = ''
+    episodes: deque = dataclasses.field(default_factory=lambda: deque(maxlen=KEPT_RESULTS))
+    ended: int = 0
+    return_sum: float = 0.0
+    validations: deque = dataclasses.field(default_factory=lambda: deque(maxlen=KEPT_RESULTS))
     health: dict[str, dict[str, str]] = dataclasses.field(default_factory=dict)
+    rejected: int = 0
 
     def value(self, node: str, name: str, default: float = float('nan')) -> float:
-        """Return one number from a node's diagnostics."""
+        """Return one number from the diagnostics of a node of this namespace."""
         try:
-            return float(self.health[node][name])
+            return float(self.health[f'{self.namespace}/{node}'][name])
         except (KeyError, ValueError):
             return default
 
+    def summary(self, node: str) -> str:
+        """Return what a node of this namespace says it is doing; 'starting' before it does."""
+        return self.health.get(f'{self.namespace}/{node}', {}).get(SUMMARY, 'starting')
+
     @property
-    def moving_average(self) -> float:
-        """Return the mean return of the newest episodes; NaN without any."""
-        returns = [episode['episode_return'] for episode in self.episodes][-MOVING_AVERAGE:]
-        return sum(returns) / len(returns) if returns else float('nan')
+    def mean_return(self) -> float:
+        """Return the mean return of all episodes; NaN without any."""
+        return self.return_sum / self.ended if self.ended else float('nan')
+
+    def take_episode(self, message: Any) -> None:
+        """Keep the summary of an episode that has ended; raises MessageError."""
+        episode = read_named_values(message, EPISODE_CORE)
+        if episode['terminated'] or episode['truncated']:
+            self.ended += 1
+            self.return_sum += episode['episode_return']
+            self.episodes.append(episode)
+
+    def take_validation(self, message: Any) -> None:
+        """Keep a result of validation; raises MessageError."""
+        self.validations.append(read_named_values(message, VALIDATION_FIELDS))
+
+    def take_diagnostics(self, message: Any) -> None:
+        """Keep what our nodes of this namespace say; others share the topic."""
+        for status in message.status:
+            space, _, node = status.name.rpartition('/')
+            if space != self.namespace or node not in NODES:
+                continue
+            self.health[status.name] = {
+                SUMMARY: plain(status.message),
+                **{plain(pair.key): plain(pair.value)
+                   for pair in status.values[:MAX_VALUES]}}
 
 
 class Monitor:
-    """A small node in a thread of its own that only listens."""
+    """A small node in a thread of its own that only listens; no message ends it."""
 
     def __init__(self, namespace: str = '') -> None:
-        """Join the graph; signals stay with the caller."""
+        """
+        Join the graph; signals stay with the caller.
+
+        Raises:
+            BridgeError: the namespace is none.
+        """
         stay_on_this_host()
-        self.state = GraphState()
+        self.state = GraphState(absolute_namespace(namespace))
         self._context = Context()
         rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
         self._node = rclpy.create_node(
-            'carracing_monitor', context=self._context, namespace=namespace or None,
+            'carracing_monitor', context=self._context, namespace=self.state.namespace or None,
             start_parameter_services=False, enable_rosout=False, use_global_arguments=False)
-        for topic, callback in (
-            (topics.EPISODE, self._on_episode),
-            (topics.VALIDATION, self._on_validation),
-            (topics.DIAGNOSTICS, self._on_diagnostics),
+        for topic, take in (
+            (topics.EPISODE, self.state.take_episode),
+            (topics.VALIDATION, self.state.take_validation),
+            (topics.DIAGNOSTICS, self.state.take_diagnostics),
         ):
+            # deep, because a reader of small depth may hear nothing any more after a flood
             self._node.create_subscription(
-                message_class(topic.type_name), topic.name, callback, qos_profile(topic))
+                message_class(topic.type_name), topic.name, self._checked(take),
+                qos_profile(topic, depth=topics.BURST_DEPTH))
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
-        self._thread = threading.Thread(target=self._executor.spin, daemon=True)
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._listen, name='monitor', daemon=True)
         self._thread.start()
 
     def simulators(self) -> int:
@@ -81,21 +135,47 @@ class Monitor:
 
     def close(self) -> None:
         """Leave the graph."""
+        self._closing.set()
         self._executor.shutdown(timeout_sec=0.5)
         self._node.destroy_node()
         rclpy.try_shutdown(context=self._context)
         self._thread.join(timeout=1.0)
 
-    def _on_episode(self, message: object) -> None:
-        episode = read_named_values(message, EPISODE_CORE)
-        if episode['terminated'] or episode['truncated']:
-            self.state.episodes.append(episode)
+    def _checked(self, take: Callable[[Any], None]) -> Callable[[Any], None]:
+        def callback(message: Any) -> None:
+            try:
+                take(message)
+            except MessageError:
+                self.state.rejected += 1
 
-    def _on_validation(self, message: object) -> None:
-        self.state.validations.append(read_named_values(message, VALIDATION_FIELDS))
+        return callback
 
-    def _on_diagnostics(self, message: object) -> None:
-        for status in message.status:
-            name = status.name.rsplit('/', 1)[-1]
-            self.state.health[name] = {
-                'summary': status.message, **{pair.key: pair.value for pair in status.values}}
+    def _listen(self) -> None:
+        while not self._closing.is_set():
+            try:
+                self._executor.spin_once(timeout_sec=0.5)
+            except ExternalShutdownException:
+                return
+            except Exception:
+                # the middleware refuses some messages by exceptions of its own, of any kind; the
+                # display must outlive them all, and must not spin if one comes again and again
+                self.state.rejected += 1
+                self._closing.wait(0.05)
+
+
+def absolute_namespace(text: str) -> str:
+    """
+    Return a namespace as nodes have it in their full names, '' for the root.
+
+    Raises:
+        BridgeError: it is none that ROS accepts.
+    """
+    namespace = f'/{text.strip("/")}'
+    try:
+        validate_namespace(namespace)
+    except InvalidNamespaceException as error:
+        reason = str(error).splitlines()[0].rstrip(':').lower()
+        raise BridgeError(
+            f'--namespace is {plain(text)!r}: {reason}; accepted: names of letters, digits '
+            'and underscores, joined by /') from None
+    return namespace.rstrip('/')

@@ -4,9 +4,8 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 import contextlib
-import ctypes
 import os
 from pathlib import Path
 import signal
@@ -14,40 +13,54 @@ import subprocess
 import sys
 import threading
 import time
+from typing import Any
 
+from carracing_dqn.bringup.graph import Graph, RECORDER
 from msgs_bridge.errors import BridgeError
+from msgs_bridge.node_process import STOPPED
+from msgs_bridge.plain_text import plain
 
 LAST_WORDS = 12
 """Lines of output that are kept for the message about a child that died."""
 
-STOP_SECONDS = 2.5
-"""How long children have after SIGINT before they are killed."""
+MAX_REASON = 300
+"""Characters of what a child said last that are quoted."""
 
-PR_SET_PDEATHSIG = 1
+STOP_SECONDS = 2.5
+"""How long children have after SIGINT before those with nothing to save are killed."""
+
+SAVE_SECONDS = 15.0
+"""How long those have that save something, which a busy machine or a slow disk may take."""
+
+RECORDER_SECONDS = 0.7
+"""How long before the others are killed a recorder is asked to complete its bag."""
+
+ENDING_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 class ChildDied(BridgeError):
-    """A node ended on its own; the message has its name, exit code and last words."""
-
-
-def die_with_parent() -> None:
-    """Ask the kernel (Linux) for SIGTERM when the parent is gone, however it went."""
-    with contextlib.suppress(OSError, AttributeError):
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+    """A node ended before its work was done; the message says which, how, and what it said."""
 
 
 def node_command(
-    module: str, parameters: dict[str, object], namespace: str = '',
+    module: str, parameters: Mapping[str, Any], namespace: str = '', *, nice: int = 0,
+    folder: Path | str = '.', supervised: bool = False,
 ) -> list[str]:
     """
-    Return the command line of one of our nodes.
+    Return the command line of one of our nodes, which ends when this process does.
 
     Args:
-        module: importable module with a `main`, run with `python -m`.
+        module: what `python -m` runs.
         parameters: values by name; str, int, float and bool.
         namespace: ROS namespace; empty for none.
+        nice: how much of its share of the processor it leaves to others.
+        folder: its current folder.
+        supervised: whether it ends with `STOPPED`, not with 0, when a signal stops it.
     """
-    command = [sys.executable, '-m', module, '--ros-args']
+    command = [
+        sys.executable, '-m', 'carracing_dqn.bringup.child', '--parent', str(os.getpid()),
+        '--nice', str(nice), '--folder', str(folder), *(['--supervised'] if supervised else []),
+        '-m', module, '--ros-args']
     if namespace:
         command += ['-r', f'__ns:=/{namespace.strip("/")}']
     for name, value in parameters.items():
@@ -63,38 +76,59 @@ def node_command(
 
 
 class Child:
-    """One process, its log file and its last words."""
+    """
+    One process, its log file and its last words.
 
-    def __init__(self, name: str, command: Sequence[str], log: Path, *, nice: int = 0) -> None:
-        """Start the process; what it says goes to the log file."""
-        self.name = name
-        self.log = log
+    Attributes:
+        name: names it in messages.
+        log: file that takes what it says; what the disk does not take is lost.
+        words: the last lines that it said.
+        spoke_at: when it said its first line, `time.monotonic()`; None before.
+        keeps: whether it has something to save when it is stopped.
+        asked: whether it was asked to stop.
+    """
+
+    def __init__(
+        self, name: str, command: Sequence[str], log: Path, *, keeps: bool = False,
+    ) -> None:
+        """Start the process; raises OSError when the log or the process cannot be had."""
+        self.name, self.log, self.keeps = name, log, keeps
         self.words: deque[str] = deque(maxlen=LAST_WORDS)
+        self.spoke_at: float | None = None
+        self.asked = False
         # one thread each: libraries that start one a core take them from the other nodes
         environment = {'OMP_NUM_THREADS': '1', **os.environ, 'PYTHONUNBUFFERED': '1',
                        'RCUTILS_COLORIZED_OUTPUT': '0'}
-
-        def prepare() -> None:
-            die_with_parent()
-            os.nice(nice)
-
+        # not `with`: the reading thread has it until the process ends
+        file = log.open('a', encoding='utf-8')
+        # a session of its own, so that Ctrl-C in a terminal reaches only this process
         self.process = subprocess.Popen(
-            list(command), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-            errors='replace', env=environment, start_new_session=True, preexec_fn=prepare)
-        self._reader = threading.Thread(target=self._read, daemon=True)
+            list(command), stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT, text=True, errors='replace', env=environment,
+            start_new_session=True)
+        self._reader = threading.Thread(target=self._read, args=(file,), daemon=True)
         self._reader.start()
 
-    def _read(self) -> None:
-        with self.log.open('a', encoding='utf-8') as log:
+    def _read(self, log: Any) -> None:
+        with contextlib.suppress(OSError), log:
             for line in self.process.stdout:
+                self.spoke_at = self.spoke_at or time.monotonic()
                 self.words.append(line.rstrip())
-                log.write(line)
-                log.flush()
+                # on a full disk the child must not stand still because nobody reads
+                with contextlib.suppress(OSError):
+                    log.write(line)
+                    log.flush()
 
     @property
     def code(self) -> int | None:
         """Return the exit code, None while it runs."""
         return self.process.poll()
+
+    @property
+    def failed(self) -> bool:
+        """Return whether it has ended otherwise than by finishing, or by being asked to stop."""
+        accepted = (None, 0, STOPPED, -signal.SIGINT, -signal.SIGKILL) if self.asked else (None, 0)
+        return self.code not in accepted
 
     def said(self, text: str) -> bool:
         """Return whether a text stands in the last words."""
@@ -106,12 +140,17 @@ class Child:
             self.process.send_signal(number)
 
     def obituary(self) -> str:
-        """Return name, exit code and last words."""
+        """Return in one line how it ended and why, as far as it has said so."""
         self._reader.join(timeout=1.0)
         code = self.code
+        if code == STOPPED:
+            return f'{self.name} was stopped from outside before the work was done'
         ended = f'signal {signal.Signals(-code).name}' if code < 0 else f'exit code {code}'
-        words = '\n'.join(f'  {line}' for line in self.words)
-        return f'{self.name} ended with {ended}; its last words ({self.log}):\n{words}'
+        said = [line for line in self.words if line.strip()]
+        # a node that gives up says why in such a line; a traceback has the reason in its last
+        reasons = [line for line in said if line.startswith('error: ')] or said
+        reason = plain(reasons[-1].removeprefix('error: '), MAX_REASON) if reasons else 'no word'
+        return f'{self.name} ended with {ended}: {reason} (log: {self.log})'
 
 
 class ProcessGroup:
@@ -128,68 +167,125 @@ class ProcessGroup:
     def __exit__(self, *_: object) -> None:
         self.stop()
 
-    def start(self, name: str, command: Sequence[str], *, nice: int = 0) -> Child:
-        """Start a child under a name."""
-        child = Child(name, command, self.log_folder / f'{name}.log', nice=nice)
+    def start(
+        self, name: str, command: Sequence[str], *, keeps: bool = False,
+    ) -> Child:
+        """
+        Start a child under a name.
+
+        Raises:
+            BridgeError: its log cannot be written, or the system has no room for a process.
+        """
+        log = self.log_folder / f'{name}.log'
+        try:
+            child = Child(name, command, log, keeps=keeps)
+        except OSError as error:
+            raise BridgeError(f'{name} cannot be started, log {log}: {error.strerror}') from None
         self.children[name] = child
         return child
+
+    def start_graph(self, graph: Graph, namespace: str, folder: Path | str) -> None:
+        """
+        Start the nodes of a graph, each under its role.
+
+        Args:
+            graph: the nodes, in the order in which they start.
+            namespace: their ROS namespace; empty for none.
+            folder: their current folder, from which paths in their parameters count.
+
+        Raises:
+            BridgeError: as `start`.
+        """
+        for node in graph:
+            kind = node.kind
+            self.start(kind.role, node_command(
+                kind.module, node.parameters, namespace, nice=kind.nice, folder=folder,
+                supervised=True), keeps=kind.keeps)
 
     def check(self) -> str | None:
         """
         Return the name of a child that has finished its work (exit code 0), else None.
 
         Raises:
-            ChildDied: one ended with another code, or by a signal.
+            ChildDied: one ended otherwise.
+            BridgeError: the folder of the logs was removed, and what is beside it with it.
         """
+        finished = None
         for name, child in self.children.items():
-            code = child.code
-            if code == 0:
-                return name
-            if code is not None:
+            if child.failed:
                 raise ChildDied(child.obituary())
-        return None
+            if child.code == 0:
+                finished = finished or name
+        if not self.log_folder.is_dir():
+            raise BridgeError(f'{self.log_folder} was removed while it was written to')
+        return finished
 
-    def wait_until_said(self, name: str, text: str, seconds: float) -> None:
+    def up_for(self) -> float:
+        """Return how many seconds every child has been up, by its first line; 0 before."""
+        spoke_at = [child.spoke_at for child in self.children.values()]
+        return 0.0 if None in spoke_at else time.monotonic() - max(spoke_at)
+
+    def stop(self) -> None:
         """
-        Wait until a child has said a text.
+        Stop all children: SIGINT to all, to recorders last; those that do not end are killed.
+
+        Signals that end this process are ignored meanwhile, so that nothing is left over.
+        """
+        running = [child for child in self.children.values() if child.code is None]
+        recorders = [child for child in running if child.name == RECORDER.role]
+        others = [child for child in running if child not in recorders]
+        with _undisturbed():
+            deadline = time.monotonic() + STOP_SECONDS
+            _ask(others)
+            _wait(others, deadline - RECORDER_SECONDS if recorders else deadline)
+            _ask(recorders)
+            _wait([child for child in running if not child.keeps], deadline)
+            for child in running:
+                if not child.keeps:
+                    child.signal(signal.SIGKILL)
+            _wait(running, deadline + SAVE_SECONDS - STOP_SECONDS)
+            for child in running:
+                child.signal(signal.SIGKILL)
+                child.process.wait()
+
+    def check_ends(self) -> None:
+        """
+        Look how the children ended that were stopped.
 
         Raises:
-            ChildDied: a child ended, or nothing was said in time.
+            ChildDied: one did not save what it had to.
         """
-        deadline = time.monotonic() + seconds
-        while not self.children[name].said(text):
-            if self.check() is not None or time.monotonic() > deadline:
-                raise ChildDied(f'{name} did not say {text!r} within {seconds:g} s; '
-                                f'see {self.children[name].log}')
-            time.sleep(0.05)
-
-    def stop(self, last: Sequence[str] = ('recorder',)) -> list[str]:
-        """
-        Stop all children: SIGINT, then after `STOP_SECONDS` SIGKILL; those in `last` at the end.
-
-        Returns:
-            Names of those that had to be killed.
-        """
-        deadline = time.monotonic() + STOP_SECONDS
-        first = [child for name, child in self.children.items() if name not in last]
-        then = [child for name, child in self.children.items() if name in last]
-        killed = []
-        for group, until in ((first, deadline - 0.7 if then else deadline), (then, deadline)):
-            for child in group:
-                child.signal(signal.SIGINT)
-            for child in group:
-                try:
-                    child.process.wait(max(0.05, until - time.monotonic()))
-                except subprocess.TimeoutExpired:
-                    if group is then:
-                        child.signal(signal.SIGKILL)
-                        killed.append(child.name)
-        for child in first:
-            try:
-                child.process.wait(max(0.05, deadline - time.monotonic()))
-            except subprocess.TimeoutExpired:
-                child.signal(signal.SIGKILL)
-                killed.append(child.name)
         for child in self.children.values():
-            child.process.wait()
-        return killed
+            if child.keeps and child.code == -signal.SIGKILL:
+                raise ChildDied(f'{child.name} had not saved everything after {SAVE_SECONDS:g} s '
+                                f'and was killed (log: {child.log})')
+            if child.failed:
+                raise ChildDied(child.obituary())
+
+
+def _ask(children: Sequence[Child]) -> None:
+    for child in children:
+        child.asked = True
+        child.signal(signal.SIGINT)
+
+
+def _wait(children: Sequence[Child], until: float) -> None:
+    """Wait until children have ended, but not longer than until a time."""
+    for child in children:
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            child.process.wait(max(0.01, until - time.monotonic()))
+
+
+@contextlib.contextmanager
+def _undisturbed() -> Iterator[None]:
+    """Ignore the signals that end this process, where the main thread can say so."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {number: signal.signal(number, signal.SIG_IGN) for number in ENDING_SIGNALS}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            # None: a handler that Python has not set and cannot put back
+            signal.signal(number, signal.SIG_DFL if handler is None else handler)

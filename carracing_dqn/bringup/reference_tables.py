@@ -13,6 +13,7 @@ from pathlib import Path
 import re
 import sys
 
+from carracing_dqn.bringup.graph import KINDS
 from carracing_sim_node import info_fields
 from msgs_bridge import step
 from msgs_bridge.atomic_write import write_text
@@ -21,13 +22,7 @@ from msgs_bridge.topics import TOPICS
 
 SETTINGS = {
     'every_node': ('msgs_bridge.node_shell', 'ShellSettings'),
-    'carracing_sim_node': ('carracing_dqn.simulation.settings', 'node_settings'),
-    'dqn_policy_node': ('dqn_policy_node.settings', 'PolicySettings'),
-    'trainer_node': ('trainer_node.settings', 'TrainerSettings'),
-    'validation_node': ('carracing_dqn.evaluation.settings', 'ValidationSettings'),
-    'bag_recorder_node': ('bags.settings', 'RecorderSettings'),
-    'bag_player_node': ('bags.settings', 'PlayerSettings'),
-}
+    **{kind.name: tuple(kind.settings.split(':')) for kind in KINDS}}
 FIELDS = {
     'step_core': step.STEP_CORE,
     'step_info': step.STEP_INFO,

@@ -4,31 +4,38 @@
 from __future__ import annotations
 
 import argparse
+import importlib.util
+import os
 from pathlib import Path
-import time
+import shlex
+import shutil
+import textwrap
+from typing import Any
 
 from carracing_dqn.bringup.display import Display
-from carracing_dqn.bringup.monitor import GraphState, Monitor
-from carracing_dqn.bringup.processes import node_command, ProcessGroup
-from carracing_dqn.bringup.provenance import provenance_text
-from carracing_dqn.bringup.run_command import (
-    default_folder, new_folder, refuse_second_simulator, stop_on_signals,
-)
-from msgs_bridge.errors import BridgeError
+from carracing_dqn.bringup.graph import Graph, training_graph
+from carracing_dqn.bringup.monitor import absolute_namespace, Monitor
+from carracing_dqn.bringup.provenance import with_provenance
+from carracing_dqn.bringup.run_folders import default_folder, new_folder, reopened_folder
+from carracing_dqn.bringup.supervise import check_machine, refuse_second_simulator, run_to_the_end
+from carracing_dqn.bringup.training_display import best_score, training_line, training_table
+from carracing_dqn.simulation import find_simulator
+from msgs_bridge.errors import BridgeError, SettingsError
+from msgs_bridge.settings import describe
+from msgs_bridge.terminal import say
 from rich.console import Console
-from rich.table import Table
 from trainer_node.hyperparameters import Hyperparameters
 from trainer_node.open_run import read_overrides, resume_point, run_settings
 from trainer_node.run_folder import RunFolder
 
-TRAINER = 'trainer_node'
-SIMULATOR = 'carracing_sim_node'
+PRESET = 'racing'
+LIST_HINT = 'carracing train --list prints every name and what it accepts'
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of `carracing train`."""
-    parser.add_argument('--preset', default='racing',
-                        help='racing, report, or the path of a YAML file (default racing)')
+    parser.add_argument('--preset', default=None,
+                        help=f'racing, report, or the path of a YAML file (default {PRESET})')
     parser.add_argument('--run', type=Path, default=None,
                         help='run folder (default: runs/<preset>-<time>)')
     parser.add_argument('--resume', type=Path, default=None, metavar='RUN',
@@ -37,6 +44,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="wall time of the whole run; the preset's own by default")
     parser.add_argument('--set', action='append', default=[], metavar='NAME=VALUE',
                         help='another value for a hyperparameter; may be given several times')
+    parser.add_argument('--list', action='store_true',
+                        help='print the hyperparameters with their values in the preset, what '
+                             'they accept and mean, and end')
     parser.add_argument('--bag', action='store_true', help='record every topic into RUN/bag')
     parser.add_argument('--from-bag', nargs='+', type=Path, default=None, metavar='BAG',
                         help='learn from the transitions in bags instead of driving')
@@ -47,95 +57,112 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(arguments: argparse.Namespace) -> int:
     """Train until the run is complete or the user stops it; return the exit code."""
+    _check(arguments)
     console = Console()
-    stop_on_signals()
-    overrides = list(arguments.set)
-    if arguments.minutes is not None:
-        overrides.append(f'run_minutes={arguments.minutes}')
     resume = arguments.resume is not None
-    folder = arguments.resume if resume else arguments.run or default_folder(
-        Path(arguments.preset).stem)
-    if not resume and folder.exists() and not RunFolder(folder).unfinished_start:
-        raise BridgeError(f'{folder} exists already; choose another folder')
+    overrides = _overrides(arguments)
+    preset = arguments.preset or PRESET
     if arguments.from_bag:
         from carracing_dqn.bringup.train_from_bag import learn_from_bags
+        folder = arguments.resume or arguments.run or default_folder(Path(preset).stem)
+        if not resume and folder.exists() and not RunFolder(folder).unfinished_start:
+            raise BridgeError(f'{folder} exists already; choose another folder')
         return learn_from_bags(
-            arguments.from_bag, folder, arguments.preset, read_overrides(overrides), console,
+            arguments.from_bag, folder, preset, overrides, console,
             namespace=arguments.namespace, resume=resume, tensorboard=arguments.tensorboard)
     # before the folder is made, so that a wrong name leaves nothing behind
-    hyperparameters = run_settings(
-        folder, arguments.preset, read_overrides(overrides), resume=resume)
-    episodes = 0
-    if resume:
-        episodes = resume_point(folder, hyperparameters)
-    elif not folder.exists():
-        new_folder(folder)
-    (folder / 'log').mkdir(exist_ok=True)
+    hyperparameters = run_settings(arguments.resume, preset, overrides, resume=resume)
+    if arguments.list:
+        for line in hyperparameter_lines(hyperparameters, shutil.get_terminal_size().columns):
+            say(console, line)
+        return 0
+    find_simulator(hyperparameters.simulator)
+    check_machine()
     monitor = Monitor(arguments.namespace)
     try:
         refuse_second_simulator(monitor)
-        console.print(f'run folder {folder}', highlight=False, soft_wrap=True)
-        interrupted = train(
-            arguments, hyperparameters, episodes, overrides, folder, monitor, console)
+        folder = _folder(arguments)
+        display = Display(monitor.state, training_table, training_line, console)
+        display.say(f'run folder {folder}')
+        interrupted = run_to_the_end(
+            _graph(arguments, hyperparameters, folder), namespace=arguments.namespace,
+            folder=folder, monitor=monitor, display=display)
+    except BridgeError as error:
+        raise BridgeError(f'{error}{_what_next(arguments, "; ")}') from None
     finally:
         monitor.close()
     run = RunFolder(folder)
-    for name, path in (('best', run.best), ('final', run.final)):
+    for name, path, more in (
+            ('best', run.best, best_score(monitor.state)), ('final', run.final, '')):
         if path.is_dir():
-            console.print(f'{name} model: {path}', highlight=False, soft_wrap=True)
+            display.say(f'{name} model: {path}{more}')
     if interrupted:
-        console.print(f'go on with: carracing train --resume {folder}', highlight=False,
-                      soft_wrap=True)
+        display.say(_what_next(arguments) or 'nothing was learned yet')
     return 130 if interrupted else 0
 
 
-def train(
-    arguments: argparse.Namespace, hyperparameters: Hyperparameters, episodes: int,
-    overrides: list[str], folder: Path, monitor: Monitor, console: Console,
-) -> bool:
-    """Run the graph until the trainer is done; return whether the user stopped it."""
-    space = arguments.namespace
-    simulator = {
-        **hyperparameters.simulator_parameters(),
-        'first_episode': episodes,
-        'wait_for_subscribers': 2 if arguments.bag else 1,
-    }
-    # the simulator listens to the policy, too
-    policy = {'model': '', 'explore': True, 'seed': hyperparameters.seed,
-              'wait_for_subscribers': 1 + simulator['wait_for_subscribers']}
-    trainer = {
-        'run': str(folder), 'resume': arguments.resume is not None,
-        'preset': arguments.preset, 'overrides': ','.join(overrides),
-        'tensorboard': arguments.tensorboard,
-    }
-    validator = {'seed': hyperparameters.validation_seed,
-                 'tracks': hyperparameters.validation_tracks}
-    with ProcessGroup(folder / 'log') as group:
-        if arguments.bag:
-            group.start('recorder', node_command('bags.recorder_node', {
-                'folder': str(next_bag(folder)),
-                'provenance': provenance_text(
-                    simulator=simulator, policy=policy, trainer=trainer)}, space))
-        group.start('trainer', node_command('trainer_node', trainer, space))
-        group.start('policy', node_command('dqn_policy_node', policy, space))
-        # validation takes the time the others leave
-        group.start('validator', node_command(
-            'carracing_dqn.evaluation.node', validator, space), nice=5)
-        group.start('simulator', node_command('carracing_sim_node', simulator, space))
-        try:
-            with Display(monitor.state, training_table, training_line, console) as display:
-                while group.check() is None:
-                    display.update()
-                    time.sleep(0.1)
-        except KeyboardInterrupt:
-            console.print('stopping', highlight=False)
-            return True
-        finally:
-            killed = group.stop()
-            if killed:
-                console.print(f'killed, because they did not stop in time: {", ".join(killed)}',
-                              highlight=False)
-    return False
+def _check(arguments: argparse.Namespace) -> None:
+    """Raise BridgeError for options that cannot be, before anything is made."""
+    absolute_namespace(arguments.namespace)
+    if arguments.minutes is not None and not 0 < arguments.minutes <= 1e6:
+        raise BridgeError(f'--minutes is {arguments.minutes:g}; accepted: above 0, up to 1000000')
+    if arguments.resume is not None and (arguments.run or arguments.preset):
+        raise BridgeError('--resume goes on in its own folder with its own settings: --run and '
+                          '--preset are for a new run; --set changes single values')
+    if arguments.bag and arguments.from_bag:
+        raise BridgeError('--bag records a graph, which --from-bag does without')
+    if arguments.tensorboard and importlib.util.find_spec('tensorboard') is None:
+        raise BridgeError("--tensorboard needs the package 'tensorboard': pip install tensorboard")
+
+
+def _overrides(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Return the hyperparameters that were asked for by name; raises SettingsError."""
+    try:
+        return read_overrides(_pairs(arguments))
+    except SettingsError as error:
+        raise SettingsError(f'--set: {error}; {LIST_HINT}') from None
+
+
+def _pairs(arguments: argparse.Namespace) -> list[str]:
+    minutes = [] if arguments.minutes is None else [f'run_minutes={arguments.minutes}']
+    return [*arguments.set, *minutes]
+
+
+def _folder(arguments: argparse.Namespace) -> Path:
+    """Make the run folder, or open it again; `arguments.run` is then where it is."""
+    if arguments.resume is not None:
+        arguments.run = reopened_folder(arguments.resume)
+    else:
+        run = arguments.run or default_folder(Path(arguments.preset or PRESET).stem)
+        # one that was killed before its first checkpoint is begun anew
+        again = RunFolder(run).unfinished_start
+        arguments.run = reopened_folder(run) if again else new_folder(run)
+    return arguments.run
+
+
+def _what_next(arguments: argparse.Namespace, before: str = '') -> str:
+    """Return how to go on with a run that has a checkpoint, after some text; else nothing."""
+    if arguments.run is None or not RunFolder(arguments.run).checkpoint.is_file():
+        return ''
+    return f'{before}go on with: carracing train --resume {shlex.quote(str(arguments.run))}'
+
+
+def _graph(
+    arguments: argparse.Namespace, hyperparameters: Hyperparameters, folder: Path,
+) -> Graph:
+    episodes, decisions = 0, 0
+    if arguments.resume is not None:
+        episodes, decisions = resume_point(folder, hyperparameters)
+    preset = arguments.preset or PRESET
+    if Path(preset).expanduser().is_file():
+        # paths count from the run folder, which is where the nodes are
+        preset = os.path.relpath(Path(preset).expanduser().resolve(), folder.resolve())
+    graph = training_graph(
+        hyperparameters, first_episode=episodes, first_decision=decisions,
+        trainer={'run': '.', 'resume': arguments.resume is not None, 'preset': preset,
+                 'overrides': ','.join(_pairs(arguments)), 'tensorboard': arguments.tensorboard},
+        bag=next_bag(folder).name if arguments.bag else None)
+    return with_provenance(graph, preset=Path(preset).stem)
 
 
 def next_bag(folder: Path) -> Path:
@@ -147,59 +174,14 @@ def next_bag(folder: Path) -> Path:
     return path
 
 
-LIVE_VALUES = (
-    ('return, last episode', 'last_return', '.1f'),
-    ('return, moving average', 'mean_return', '.1f'),
-    ('episodes', 'episodes', '.0f'),
-    ('decisions', 'decisions', '.0f'),
-    ('updates', 'updates', '.0f'),
-    ('epsilon', 'epsilon', '.3f'),
-    ('learning rate', 'learning_rate', '.2e'),
-    ('updates/s', 'updates_per_second', '.1f'),
-    ('samples per transition', 'replay_ratio', '.2f'),
-    ('replay', 'replay_size', '.0f'),
-    ('TD error', 'td_error', '.3f'),
-    ('mean Q', 'q_mean', '.2f'),
-    ('weights version', 'weights_version', '.0f'),
-    ('share of the run done', 'progress', '.1%'),
-)
-"""Label, name in the trainer's diagnostics and format of what the display shows."""
-
-
-def training_table(state: GraphState) -> Table:
-    """Return the state of learning as a table."""
-    table = Table(title=state.health.get(TRAINER, {}).get('summary', 'starting'))
-    table.add_column('')
-    table.add_column('', justify='right')
-    for label, name, form in LIVE_VALUES:
-        value = state.value(TRAINER, name)
-        table.add_row(label, '-' if value != value else format(value, form))
-    seconds, progress = state.value(TRAINER, 'wall_seconds'), state.value(TRAINER, 'progress')
-    if progress > 0:
-        table.add_row('minutes so far', f'{seconds / 60:.1f}')
-        table.add_row('minutes left, about', f'{seconds * (1 / progress - 1) / 60:.1f}')
-    table.add_row('decisions/s', f'{state.value(SIMULATOR, "decisions_per_second", 0.0):.0f}')
-    age = (state.value(TRAINER, 'weights_version')
-           - state.value('dqn_policy_node', 'weights_version'))
-    table.add_row('weight age (versions)', '-' if age != age else f'{age:.0f}')
-    for result in list(state.validations)[-3:]:
-        table.add_row(f'validation of version {result["version"]:.0f}',
-                      f'{result["mean"]:.1f} ± {result["std"]:.1f}, '
-                      f'{result["completed"]:.0%} completed')
-    return table
-
-
-def training_line(state: GraphState) -> str:
-    """Return the state of learning as one plain line."""
-    def show(name: str, form: str) -> str:
-        return format(state.value(TRAINER, name, 0.0), form)
-
-    minutes = state.value(TRAINER, 'wall_seconds', 0.0) / 60
-    line = (f"{minutes:.1f} min: episode {show('episodes', '.0f')}, "
-            f'return {show("last_return", ".1f")}, average {show("mean_return", ".1f")}, '
-            f'epsilon {show("epsilon", ".3f")}, {show("updates_per_second", ".1f")} updates/s, '
-            f'{state.value(SIMULATOR, "decisions_per_second", 0.0):.0f} decisions/s')
-    if state.validations:
-        result = state.validations[-1]
-        line += f'; validation {result["mean"]:.1f} ± {result["std"]:.1f}'
-    return line
+def hyperparameter_lines(hyperparameters: Hyperparameters, width: int) -> list[str]:
+    """Return every hyperparameter with its value, what it accepts and what it means, as lines."""
+    lines = []
+    for name, (kind, _, description) in describe(Hyperparameters).items():
+        accepted = description.accepted or ('true or false' if kind is bool else kind.__name__)
+        value = getattr(hyperparameters, name)
+        shown = str(value).lower() if kind is bool else str(value)
+        lines.append(f'{name}={shown}  ({accepted})')
+        lines += textwrap.wrap(description.text, width, initial_indent='    ',
+                               subsequent_indent='    ')
+    return lines

@@ -8,7 +8,8 @@ from collections.abc import Iterator
 import dataclasses
 import os
 from pathlib import Path
-import signal
+import re
+import shlex
 import sys
 import time
 
@@ -17,16 +18,20 @@ from carracing_dqn.evaluation.lap_series import drive_laps
 from carracing_dqn.evaluation.laps import Lap
 from carracing_dqn.evaluation.policies import MODEL, parse_policy, PolicySource
 from carracing_dqn.evaluation.progress import LapProgress, summary_table
-from carracing_dqn.evaluation.results import (
-    describe_machine, Results, resume, write_csv, write_json,
-)
+from carracing_dqn.evaluation.results import Results, resume, write_csv, write_json
 from carracing_dqn.evaluation.through_graph import drive_laps_through_graph, RunGraph
 from carracing_dqn.evaluation.workers import limit_torch_threads
 from carracing_dqn.simulation import find_simulator, simulator_names
+from msgs_bridge.machine import cores, describe_machine
+from msgs_bridge.terminal import say
 from rich.console import Console
 
 TEST_SEED = 100_000
 """First track of a test: training and validation draw theirs from lower seeds."""
+
+DEFAULT_MODEL = 'racing'
+RUNS = Path('runs')
+KEPT_IN = 'RUN/evaluation-<time>.json, without a run runs/evaluate-<policy>-<time>.json'
 
 LARGEST_SEED = 2**31 - 1
 MOST_REPEATS = 50
@@ -36,9 +41,9 @@ INTERRUPTED = 130
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     parser.add_argument(
-        '--model', default='racing', metavar='DIR|NAME',
+        '--model', default=None, metavar='DIR|NAME',
         help='model folder, run folder (its best model) or name of a shipped model '
-        '(default: %(default)s)')
+        f'(default: {DEFAULT_MODEL})')
     parser.add_argument(
         '--policy', default=MODEL, metavar='model|random|MODULE:CALLABLE',
         help='who drives: the model, the dummy agent (uniform random actions, seed document '
@@ -48,14 +53,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--seed', type=int, default=TEST_SEED, metavar='S',
                         help='seed of the first track; then S+1, ... (default: %(default)s)')
     parser.add_argument('--json', type=Path, metavar='FILE',
-                        help='write laps and statistics; a run that was stopped goes on from it')
+                        help='where laps and statistics are kept; an evaluation that was stopped '
+                        f'goes on from it (default: {KEPT_IN})')
     parser.add_argument('--csv', type=Path, metavar='FILE', help='write a row a lap')
     parser.add_argument(
         '--simulator', default='gymnasium', metavar='NAME|MODULE:CLASS',
         help="gymnasium: the unmodified gymnasium.make('CarRacing-v3'); carracing (or fast): "
         'ours, equal to the byte; or another: '
         f'{", ".join(simulator_names())} are installed (default: %(default)s)')
-    parser.add_argument('--processes', type=int, default=_cores(), metavar='N',
+    parser.add_argument('--processes', type=int, default=cores(), metavar='N',
                         help='processes that drive (default: %(default)s, the cores)')
     parser.add_argument('--pictures', type=Path, metavar='DIR',
                         help='a picture of every lap: the track from above, by speed and reward')
@@ -85,42 +91,51 @@ def main(arguments: argparse.Namespace, *, run_graph: RunGraph | None = None) ->
     find_simulator(arguments.simulator)
     console = Console()
     source = dataclasses.replace(
-        parse_policy(arguments.policy, arguments.model, arguments.device),
+        parse_policy(arguments.policy, arguments.model or DEFAULT_MODEL, arguments.device),
         action_repeat=arguments.action_repeat)
     seeds = range(arguments.seed, arguments.seed + arguments.episodes)
     simulator = 'graph' if arguments.through_graph else arguments.simulator
     identity = source.identity()
-    results = Results(identity, simulator)
-    if arguments.json is not None:
-        results = resume(arguments.json, identity, simulator, seeds)
+    if arguments.json is None:
+        arguments.json = _new_file(source)
+    _check_place(arguments.json)
+    results = resume(arguments.json, identity, simulator, seeds)
     results.wanted = len(seeds)
     results.machine = describe_machine()
     limit_torch_threads()
     todo = [seed for seed in seeds if seed not in results.laps]
+
     if len(todo) < len(seeds):
-        console.print(f'{len(seeds) - len(todo)} of {len(seeds)} laps are in {arguments.json} '
-                      'already', highlight=False, soft_wrap=True)
+        say(console, f'{len(seeds) - len(todo)} of {len(seeds)} laps are in {arguments.json} '
+                     'already')
     laps = _laps(arguments, source, todo, run_graph)
     interrupted = _drive(arguments, laps, results, console)
     if results.laps:
         console.print(summary_table(source.name, results.ordered))
     for path in (arguments.json, arguments.csv):
         if path is not None and results.laps:
-            console.print(f'wrote {path}', highlight=False, soft_wrap=True)
+            say(console, f'wrote {path}')
     if interrupted:
-        kept = ''
-        if results.laps:
-            kept = f'; they are in {arguments.json}' if arguments.json else '; shown above'
-        sys.stderr.write(f'stopped after {len(results.laps)} of {len(seeds)} laps{kept}\n')
+        more = f'; the same command with --json {shlex.quote(str(arguments.json))} goes on'
+        sys.stderr.write(f'stopped after {len(results.laps)} of {len(seeds)} laps'
+                         f'{more if results.laps else ""}\n')
         return INTERRUPTED
     return 0
+
+
+def _new_file(source: PolicySource) -> Path:
+    """Return where laps are kept when nobody has said so: with the run, or below `runs`."""
+    folder = source.run_folder
+    kind = 'evaluation' if folder else 'evaluate-' + re.sub(r'[^\w.-]+', '-', source.name)
+    stem = f'{kind}-{time.strftime("%Y%m%d-%H%M%S")}'
+    places = (Path(folder or RUNS) / f'{stem}{more}.json' for more in ('', *range(-1, -1000, -1)))
+    return next(path for path in places if not path.exists())
 
 
 def _drive(
     arguments: argparse.Namespace, laps: Iterator[Lap], results: Results, console: Console,
 ) -> bool:
     """Drive what is left and keep every lap at once; return whether it was interrupted."""
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     spent, started = results.seconds, time.monotonic()
     try:
         with LapProgress(results.ordered, results.wanted, console) as progress:
@@ -135,7 +150,6 @@ def _drive(
         return True
     finally:
         laps.close()
-        signal.signal(signal.SIGTERM, before)
     return False
 
 
@@ -161,6 +175,8 @@ def _write(arguments: argparse.Namespace, results: Results) -> None:
         if path is None or not results.laps:
             continue
         try:
+            if path.parent == RUNS:
+                path.parent.mkdir(exist_ok=True)
             write(path, results)
         except OSError as error:
             raise EvaluationError(f'{path} cannot be written: {error.strerror}') from None
@@ -168,6 +184,9 @@ def _write(arguments: argparse.Namespace, results: Results) -> None:
 
 def _check(arguments: argparse.Namespace) -> None:
     """Raise EvaluationError for options that cannot be, before anything is driven."""
+    if arguments.model is not None and arguments.policy != MODEL:
+        raise EvaluationError(f'--model {arguments.model} and --policy {arguments.policy}: only '
+                              'one can drive; leave one of them out')
     if arguments.episodes < 1:
         raise EvaluationError(f'--episodes is {arguments.episodes}; accepted: 1 or more')
     if arguments.processes < 1:
@@ -189,8 +208,9 @@ def _check(arguments: argparse.Namespace) -> None:
             raise EvaluationError(f'{path}: there is no folder {path.resolve().parent}')
 
 
-def _cores() -> int:
-    """Return the cores this process may use."""
-    if hasattr(os, 'sched_getaffinity'):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+def _check_place(path: Path) -> None:
+    """Raise EvaluationError when a file cannot be kept, before anything is driven for it."""
+    folder = path.parent if path.parent.is_dir() else path.parent.parent
+    if not os.access(folder, os.W_OK):
+        raise EvaluationError(f'{folder.resolve()} cannot be written, where the laps are to be '
+                              'kept; --json names another place')

@@ -14,10 +14,9 @@ from typing import Any
 
 from carracing_dqn.evaluation.errors import PolicyError
 from carracing_sim_node.controls import FRAME_SECONDS
+from dqn_policy_node.shipped_models import RANDOM
 
-RANDOM = 'random'
 MODEL = 'model'
-DUMMY_ACTION_SET = 'seed5'
 # the folders of a run folder that hold a model, the one to evaluate first
 RUN_MODELS = ('best', 'final')
 
@@ -73,6 +72,13 @@ class PolicySource:
             return f'{folder.parent.name}/{folder.name}'
         return folder.name
 
+    @property
+    def run_folder(self) -> Path | None:
+        """Return the run folder that the model is of, None when it is of none."""
+        folder = Path(self.model)
+        is_run = folder.name in RUN_MODELS and (folder.parent / 'episodes.csv').is_file()
+        return folder.parent if self.kind == MODEL and is_run else None
+
     def open(self, frame_seconds: float = FRAME_SECONDS) -> Any:
         """
         Return the policy.
@@ -117,7 +123,8 @@ class PolicySource:
                 'version': model.version,
             }
         if self.kind == RANDOM:
-            return {'kind': RANDOM, 'name': RANDOM, 'action_set': DUMMY_ACTION_SET,
+            from dqn_policy_node.action_space import DUMMY_SPACE
+            return {'kind': RANDOM, 'name': RANDOM, 'action_set': DUMMY_SPACE.name,
                     'action_repeat': 1}
         self.open()
         return {'kind': 'custom', 'name': self.kind}
@@ -160,8 +167,9 @@ def parse_policy(text: str, model: str, device: str = 'cpu') -> PolicySource:
 
 
 def _random_policy() -> Any:
-    from dqn_policy_node import ACTION_SPACES, RandomPolicy
-    policy = RandomPolicy(ACTION_SPACES[DUMMY_ACTION_SET])
+    from dqn_policy_node import RandomPolicy
+    from dqn_policy_node.action_space import DUMMY_SPACE
+    policy = RandomPolicy(DUMMY_SPACE)
     policy.looks_at_frames = False
     return policy
 

@@ -7,11 +7,14 @@ import time
 
 from carracing_dqn.evaluation.laps import Lap
 from carracing_dqn.evaluation.statistics import Statistics, statistics_of
+from msgs_bridge.plain_text import plain
+from msgs_bridge.terminal import say
 from rich.console import Console
 from rich.progress import (
     BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn,
 )
 from rich.table import Table
+from rich.text import Text
 
 LINE_SECONDS = 10.0
 """Seconds between two plain lines, when nobody watches."""
@@ -50,10 +53,9 @@ class LapProgress:
             self._bar.update(self._task, advance=1, description=self._summary())
         elif time.monotonic() >= self._next_line or len(self._laps) == self._wanted:
             self._next_line = time.monotonic() + LINE_SECONDS
-            self._console.print(
+            say(self._console,
                 f'lap {len(self._laps)} of {self._wanted}: {self._summary()} '
-                f'(seed {lap.seed}: {lap.episode_return:.1f} in {lap.frames} frames)',
-                highlight=False, soft_wrap=True)
+                f'(seed {lap.seed}: {lap.episode_return:.1f} in {lap.frames} frames)')
 
     def _summary(self) -> str:
         if not self._laps:
@@ -65,7 +67,8 @@ class LapProgress:
 
 def summary_table(name: str, laps: list[Lap]) -> Table:
     """Return the statistics of laps as a table for the terminal."""
-    table = Table(title=f'{len(laps)} laps of {name}', title_justify='left', show_header=False)
+    table = Table(title=Text(f'{len(laps)} laps of {plain(name)}'), title_justify='left',
+                  show_header=False)
     table.add_column()
     table.add_column(justify='right')
     for label, text in summary_rows(statistics_of(laps)):

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from carracing_dqn.evaluation.errors import RecordsError, ResultsError
-from carracing_dqn.evaluation.policies import RANDOM
 from carracing_dqn.evaluation.results import read_json, Results
 from carracing_dqn.evaluation.tables import read_table, Table
+from dqn_policy_node.shipped_models import RANDOM
 import yaml
 
 EPISODE_COLUMNS = (

@@ -15,15 +15,18 @@ from carracing_dqn.evaluation.errors import EvaluationError
 from carracing_dqn.evaluation.figure_style import save_figure
 from carracing_dqn.evaluation.lap_series import drive_laps
 from carracing_dqn.evaluation.laps import Lap
-from carracing_dqn.evaluation.policies import MODEL, PolicySource, RANDOM
+from carracing_dqn.evaluation.policies import MODEL, PolicySource
+from dqn_policy_node.shipped_models import RANDOM
 from carracing_dqn.evaluation.records import add_results, load_run, Run
 from carracing_dqn.evaluation.report_page import lap_pictures, make_pictures, markdown, render
-from carracing_dqn.evaluation.results import describe_machine, read_json, Results, write_json
+from carracing_dqn.evaluation.results import read_json, Results, write_json
 from carracing_dqn.evaluation.trajectory import drive_trajectory, Trajectory
 from carracing_dqn.evaluation.workers import limit_torch_threads
 from carracing_dqn.simulation import make_simulator
 from msgs_bridge.atomic_write import write_text
 from msgs_bridge.errors import BridgeError
+from msgs_bridge.machine import describe_machine
+from msgs_bridge.terminal import say
 from msgs_bridge.share import share_path
 from rich.console import Console
 
@@ -94,11 +97,11 @@ def main(arguments: argparse.Namespace) -> int:
         raise EvaluationError(f'{output} cannot be written: {error.strerror}') from None
     for run, judged in zip(runs, verdicts):
         for problem in run.problems:
-            console.print(f'{run.name}: {problem}', highlight=False, soft_wrap=True)
+            say(console, f'{run.name}: {problem}')
         for verdict in judged:
-            console.print(f'{run.name}: {verdict.word}: {verdict.objective.text} ({verdict.text})',
-                          highlight=False, soft_wrap=True, markup=False)
-    console.print(f'wrote {output / "report.html"}', highlight=False, soft_wrap=True)
+            say(console,
+                f'{run.name}: {verdict.word}: {verdict.objective.text} ({verdict.text})')
+    say(console, f'wrote {output / "report.html"}')
     return 0
 
 
@@ -116,8 +119,7 @@ def _need_dummy(runs: list[Run], output: Path, console: Console) -> None:
     if dummy is None and (output / 'dummy.json').is_file():
         dummy = read_json(output / 'dummy.json')
     if dummy is None:
-        console.print(f'no laps of the dummy agent: driving {DUMMY_LAPS} now, which takes some '
-                      'seconds', highlight=False, soft_wrap=True)
+        say(console, f'no laps of the dummy agent: driving {DUMMY_LAPS} now')
         source = PolicySource(RANDOM)
         dummy = Results(source.identity(), 'fast', wanted=DUMMY_LAPS, machine=describe_machine())
         seeds = range(DUMMY_SEED, DUMMY_SEED + DUMMY_LAPS)
@@ -142,7 +144,7 @@ def _trajectories(
         policy = PolicySource(MODEL, str(run.model)).open(simulator.frame_seconds)
         limit_torch_threads()
         for heading, seed in _interesting_laps(run, count):
-            console.print(f'driving track {seed} to draw it', highlight=False)
+            say(console, f'driving track {seed} to draw it')
             trajectory = drive_trajectory(simulator, policy, seed)
             _compare_with_record(run, trajectory.lap)
             yield heading, trajectory

@@ -5,12 +5,9 @@ from __future__ import annotations
 
 import csv
 import dataclasses
-import importlib.metadata
 import io
 import json
-import os
 from pathlib import Path
-import platform
 from typing import Any
 
 from carracing_dqn.evaluation.errors import ResultsError
@@ -21,7 +18,6 @@ from msgs_bridge.atomic_write import write_text
 FORMAT = 'carracing_dqn evaluation 1'
 MAX_BYTES = 64 * 2**20
 COLUMNS = tuple(field.name for field in dataclasses.fields(Lap))
-_LIBRARIES = ('gymnasium', 'numpy', 'torch')
 
 
 @dataclasses.dataclass
@@ -68,22 +64,6 @@ class Results:
             'statistics': self.statistics.to_json() if self.laps else None,
             'laps': [dataclasses.asdict(lap) for lap in self.ordered],
         }
-
-
-def describe_machine() -> dict[str, Any]:
-    """Return versions and cores."""
-    versions = {}
-    for name in _LIBRARIES:
-        try:
-            versions[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            versions[name] = 'not installed'
-    return {
-        'python': platform.python_version(), 'system': platform.platform(),
-        'cores': len(os.sched_getaffinity(0)) if hasattr(os, 'sched_getaffinity')
-        else os.cpu_count(),
-        'libraries': versions,
-    }
 
 
 def write_json(path: Path | str, results: Results) -> None:

@@ -14,7 +14,8 @@ import time
 
 from carracing_dqn.evaluation.errors import EvaluationError
 from carracing_dqn.evaluation.laps import Lap, lap_of
-from carracing_dqn.evaluation.policies import MODEL, PolicySource, RANDOM
+from carracing_dqn.evaluation.policies import MODEL, PolicySource
+from dqn_policy_node.shipped_models import RANDOM
 
 RunGraph = Callable[[str, range, 'Path | None'], Iterator[Mapping[str, float]]]
 """

@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-import contextlib
+from concurrent.futures import as_completed, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 import multiprocessing
-from multiprocessing.connection import Connection, wait
 import os
 import signal
 import sys
@@ -23,6 +23,8 @@ Result = TypeVar('Result')
 # read by the numeric libraries when they are loaded: one core for each process
 THREAD_VARIABLES = ('OMP_NUM_THREADS', 'MKL_NUM_THREADS', 'OPENBLAS_NUM_THREADS')
 
+_worker: Callable[[Any], Any] | None = None
+
 
 def run_jobs(
     make_worker: Callable[[], Callable[[Job], Result]], jobs: Iterable[Job], processes: int,
@@ -30,103 +32,65 @@ def run_jobs(
     """
     Yield the result of every job as it comes, in any order.
 
+    Leaving the iterator early ends the processes at once.
+
     Args:
         make_worker: called once in each process; returns what does one job. Can be pickled.
         jobs: what to do; can be pickled.
         processes: how many processes to start, at most one a job.
 
     Raises:
-        EvaluationError: a process died (the text has its exit code).
+        EvaluationError: a process died.
         BridgeError: what `make_worker` or a job raised; anything else they raise comes as the
             text of an EvaluationError.
     """
-    waiting = list(jobs)[::-1]
-    context = multiprocessing.get_context('spawn')
-    workers: dict[Connection, Any] = {}
+    jobs = list(jobs)
+    before = set(multiprocessing.active_children())
+    executor = ProcessPoolExecutor(
+        max(1, min(processes, len(jobs))), multiprocessing.get_context('spawn'), _begin)
     try:
-        with _inherited_by_children():
-            for _ in range(min(processes, len(waiting))):
-                ours, theirs = context.Pipe()
-                worker = context.Process(target=_work, args=(theirs, make_worker), daemon=True)
-                worker.start()
-                theirs.close()
-                workers[ours] = worker
-        for connection in workers:
-            connection.send(waiting.pop())
-        busy = set(workers)
-        while busy:
-            for connection in wait(list(busy)):
-                yield _receive(connection, workers[connection])
-                if waiting:
-                    connection.send(waiting.pop())
-                else:
-                    busy.discard(connection)
+        # the processes start here, with Ctrl-C blocked for good: it is the parent's
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            futures = [executor.submit(_work, make_worker, job) for job in jobs]
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        for future in as_completed(futures):
+            yield future.result()
+    except BrokenProcessPool:
+        raise EvaluationError('a process that drove laps died') from None
     finally:
-        for connection, worker in workers.items():
-            connection.close()
-            worker.terminate()
-        for worker in workers.values():
-            worker.join()
+        executor.shutdown(wait=False, cancel_futures=True)
+        for process in set(multiprocessing.active_children()) - before:
+            process.terminate()
+        executor.shutdown()
 
 
-def _receive(connection: Connection, worker: Any) -> Any:
-    """Return what a worker sends, or raise what it raised."""
-    try:
-        failed, answer = connection.recv()
-    except EOFError:
-        worker.join()
-        raise EvaluationError(
-            f'a process that drove laps died with exit code {worker.exitcode}') from None
-    if failed:
-        raise answer
-    return answer
-
-
-@contextlib.contextmanager
-def _inherited_by_children() -> Iterator[None]:
-    """Let processes started meanwhile ignore Ctrl-C, which is the parent's, and use one thread."""
-    before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
+def _begin() -> None:
+    """Use one thread, and end when the parent is gone."""
     os.environ.update(dict.fromkeys(THREAD_VARIABLES, '1'))
-    in_main_thread = threading.current_thread() is threading.main_thread()
-    if in_main_thread:
-        handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+    def end_with_parent() -> None:
+        multiprocessing.parent_process().join()
+        os._exit(1)
+
+    threading.Thread(target=end_with_parent, daemon=True).start()
+
+
+def _work(make_worker: Callable[[], Callable[[Any], Any]], job: Any) -> Any:
+    """Do one job."""
+    global _worker
     try:
-        yield
-    finally:
-        if in_main_thread:
-            signal.signal(signal.SIGINT, handler)
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
-
-
-def _work(connection: Connection, make_worker: Callable[[], Callable[[Any], Any]]) -> None:
-    """Do jobs until the parent closes the connection or is gone."""
-    # a handler of the parent's, inherited through its main module, must not outlive terminate()
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    worker = None
-    while True:
-        try:
-            job = connection.recv()
-        except (EOFError, OSError):
-            return
-        try:
-            if worker is None:
-                worker = make_worker()
-                limit_torch_threads()
-            answer = (False, worker(job))
-        except BridgeError as error:
-            answer = (True, error)
-        except Exception:
-            # as text: not every exception can be sent, and its traceback never is
-            answer = (True, EvaluationError(
-                f'a process that drove laps failed:\n{traceback.format_exc().rstrip()}'))
-        try:
-            connection.send(answer)
-        except OSError:
-            return
+        if _worker is None:
+            _worker = make_worker()
+            limit_torch_threads()
+        return _worker(job)
+    except BridgeError:
+        raise
+    except (Exception, SystemExit):
+        # as text: not every exception can be sent, and its traceback never is
+        raise EvaluationError(
+            f'a process that drove laps failed:\n{traceback.format_exc().rstrip()}') from None
 
 
 def limit_torch_threads() -> None:

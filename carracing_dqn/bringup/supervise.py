@@ -1,0 +1,116 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""A graph from its start to its end: what may go wrong meanwhile ends it with one line."""
+from __future__ import annotations
+
+from collections.abc import Callable
+import contextlib
+from pathlib import Path
+import resource
+import time
+
+from carracing_dqn.bringup.display import Display
+from carracing_dqn.bringup.graph import Graph
+from carracing_dqn.bringup.monitor import Monitor
+from carracing_dqn.bringup.processes import ProcessGroup
+from msgs_bridge.errors import BridgeError
+
+LOOK_SECONDS = 0.1
+
+FIRST_LOOK_SECONDS = 1.0
+"""How long a simulator that runs already is looked for, before ours starts."""
+
+UNHEARD_SECONDS = 20.0
+"""How long nodes may run without one of them being heard: discovery takes 0.1 to 6 s."""
+
+MIN_FILES = 32
+"""File descriptors with which a graph was seen to drive; some of DDS' sockets need one each."""
+
+
+def check_machine() -> None:
+    """
+    Look for what nodes need of a machine, before any is started.
+
+    Raises:
+        BridgeError: something is missing; the text says what to do.
+    """
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if soft < MIN_FILES != resource.RLIM_INFINITY:
+        with contextlib.suppress(OSError, ValueError):
+            resource.setrlimit(resource.RLIMIT_NOFILE, (min(hard, MIN_FILES), hard))
+        soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+        if soft < MIN_FILES:
+            raise BridgeError(f'{soft} open files are allowed (ulimit -n); a graph needs '
+                              f'{MIN_FILES} or more')
+
+
+def refuse_second_simulator(monitor: Monitor) -> None:
+    """
+    Look for a simulator that runs already: two would both answer to the same twists.
+
+    Raises:
+        BridgeError: there is one.
+    """
+    deadline = time.monotonic() + FIRST_LOOK_SECONDS
+    while time.monotonic() < deadline:
+        if monitor.simulators():
+            raise BridgeError(
+                'a simulator runs on this ROS domain already; stop it, or use --namespace or '
+                'another ROS_DOMAIN_ID')
+        time.sleep(LOOK_SECONDS)
+
+
+def look(group: ProcessGroup, monitor: Monitor) -> str | None:
+    """
+    Return the name of a node that has finished its work, None while all are at it.
+
+    Raises:
+        BridgeError: a node ended before its work was done, the run folder is gone, or the nodes
+            run but cannot be heard.
+    """
+    finished = group.check()
+    if finished is None and not monitor.state.health and group.up_for() > UNHEARD_SECONDS:
+        raise BridgeError(
+            f'the nodes run, but none of them was heard in {UNHEARD_SECONDS:g} s: DDS discovery '
+            'does not work here; look at ROS_AUTOMATIC_DISCOVERY_RANGE, ROS_DOMAIN_ID, a '
+            f'firewall, a profile of the middleware, and the logs in {group.log_folder}')
+    return finished
+
+
+def run_to_the_end(
+    graph: Graph, *, namespace: str, folder: Path, monitor: Monitor, display: Display,
+    settled: Callable[[], bool] = lambda: True,
+) -> bool:
+    """
+    Run a graph until a node of it has finished its work; return whether the user stopped it.
+
+    Args:
+        graph: the nodes; paths in their parameters count from `folder`.
+        namespace: ROS namespace; empty for none.
+        folder: run folder with `log` in it.
+        monitor: hears the nodes.
+        display: shows how far they are.
+        settled: asked after the end, for at most a second, whether all results have come.
+
+    Raises:
+        BridgeError: as `look`; or a node could not save what it had to.
+    """
+    interrupted = False
+    with ProcessGroup(folder / 'log') as group:
+        try:
+            group.start_graph(graph, namespace, folder)
+            with display:
+                while look(group, monitor) is None:
+                    display.update()
+                    time.sleep(LOOK_SECONDS)
+                deadline = time.monotonic() + 1.0
+                while not settled() and time.monotonic() < deadline:
+                    time.sleep(LOOK_SECONDS / 2)
+        except KeyboardInterrupt:
+            interrupted = True
+            display.say('stopping')
+        finally:
+            group.stop()
+        group.check_ends()
+    display.finish()
+    return interrupted
