@@ -7,10 +7,11 @@ from collections.abc import Mapping
 import dataclasses
 from typing import Any
 
+from msgs_bridge.machine import describe_machine
 from msgs_bridge.step import Step
 from trainer_node.figures import Means, MeansState
 from trainer_node.learning import Learning
-from trainer_node.run_folder import describe_machine, now, RunFolder
+from trainer_node.run_folder import now, RunFolder
 from trainer_node.saved_state import Seconds
 from trainer_node.tracking import Tracking
 

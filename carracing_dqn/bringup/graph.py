@@ -80,8 +80,8 @@ Graph = tuple[NodeSpec, ...]
 
 def driving_graph(
     *, model: str, seed: int, simulator: str = 'carracing', episodes: int = 0,
-    stepping: str = 'lockstep',
-    action_repeat: int = 1, policy: Mapping[str, Any] | None = None, bag: str | None = None,
+    stepping: str = 'lockstep', action_repeat: int = 1,
+    policy: Mapping[str, Any] | None = None, bag: str | None = None,
 ) -> Graph:
     """
     Return simulator and policy, and a recorder if there is to be a bag.
