@@ -204,9 +204,11 @@ def _let_last_messages_arrive(node: Any) -> None:
     deadline = time.monotonic() + LAST_MESSAGES_SECONDS
     for publisher in node.publishers:
         left = deadline - time.monotonic()
-        # after a signal ROS is shut down, and nothing can be waited for
-        if left > 0 and rclpy.ok():
-            publisher.wait_for_all_acked(Duration(seconds=left))
+        # after a signal ROS is shut down, perhaps in the middle of this, and nothing can be waited
+        # for any more
+        with contextlib.suppress(Exception):
+            if left > 0 and rclpy.ok():
+                publisher.wait_for_all_acked(Duration(seconds=left))
 
 
 def _leave(code: int) -> None:
