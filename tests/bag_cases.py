@@ -64,7 +64,8 @@ class DriveRecorder:
     """Records a drive as the graph would, with the topics in a namespace."""
 
     def __init__(self, folder: Path, *, namespace: str = '', provenance: dict | None = None,
-                 **options: object) -> None:
+                 falsify: Callable[[dict], dict] = dict, **options: object) -> None:
+        self.falsify = falsify
         data = {key: value if isinstance(value, str) else json.dumps(value)
                 for key, value in (provenance or {}).items()}
         self.writer = BagWriter(folder, custom_data=data, **options)
@@ -81,7 +82,7 @@ class DriveRecorder:
 
     def frame(self, frame) -> None:
         self.put(CLOCK, clock(frame.stamp))
-        self.put(STEP, bundle(frame.stamp, frame.step.values()))
+        self.put(STEP, bundle(frame.stamp, self.falsify(frame.step.values())))
         self.put(REWARD, message(REWARD, frame.step.reward))
         if frame.episode is not None:
             self.put(EPISODE, bundle(frame.stamp, frame.episode))
@@ -102,6 +103,8 @@ def record_drive(
 ) -> Path:
     """
     Record some episodes; `change` may falsify a frame, `drive_with` gives the applied actions.
+
+    `falsify` may be given to change the values of a `step`, to such as no simulator has.
 
     The first `skip_first` frames are driven but not recorded.
     """

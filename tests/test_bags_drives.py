@@ -324,12 +324,11 @@ def test_a_bag_of_version_0_1_is_verified_driven_again_and_learned_from():
     ('angular', -2.0), ('frames', 1e12), ('speed', float('nan')),
 ])
 def test_no_odd_value_ends_a_command_with_more_than_a_line(tmp_path, capsys, name, value):
-    def change(frame):
-        return dataclasses.replace(frame, facts={
-            **frame.facts, name: value, **({'seed': -1.0} if name == 'episode' else {})})
+    def falsify(values):
+        wrong = {name: value, **({'seed': -1.0} if name == 'episode' else {})}
+        return {**values, **wrong} if values['decision'] in (0, 3) else values
 
-    bag = record_drive(tmp_path / 'bag', episodes=1, decisions=4, change=lambda frame: (
-        change(frame) if frame.facts['decision'] in (0, 3) else frame))
+    bag = record_drive(tmp_path / 'bag', episodes=1, decisions=4, falsify=falsify)
     for words in (('info', bag), ('info', bag, '--json'), ('verify', bag)):
         assert command(*words) in (0, 1, 2)
     assert command('verify', bag) != 0
