@@ -1,18 +1,18 @@
 # Two commands: `make run` drives laps, `make test` runs the tests. Both set up .venv first.
 PYTHON ?= python3
+# which build of PyTorch: cpu, auto (as the GPU at hand needs), or one by name, cu130, rocm6.4, ...
+TORCH ?= cpu
 VENV := .venv
 INSTALLED := $(VENV)/.installed
 CARRACING := $(VENV)/bin/carracing
 
-.PHONY: setup run train test faults lint clean
+.PHONY: setup run train test test-all faults lint clean
 
 setup: $(INSTALLED)
 
-$(INSTALLED): setup.py setup.cfg constraints.txt carracing_dqn/bringup/environment.py
-	$(PYTHON) -m venv $(VENV)
-	$(VENV)/bin/python -m pip install --use-pep517 --constraint constraints.txt --editable '.[wheels,test]'
-	$(VENV)/bin/python -m carracing_dqn.bringup.environment
-	touch $@
+$(INSTALLED): setup.py setup.cfg constraints.txt .ci/setup carracing_dqn/bringup/environment.py
+	@bash .ci/setup '$(PYTHON)' '$(VENV)' '$(TORCH)'
+	@touch $@
 
 run: setup
 	$(CARRACING) run $(ARGS)
@@ -22,6 +22,10 @@ train: setup
 
 test: setup
 	$(VENV)/bin/python -m pytest $(ARGS)
+
+# setup, a drive and the tests with every Python that README names, each in a new environment
+test-all:
+	@bash .ci/test-all $(ARGS)
 
 # every kind of fault for MINUTES; what came of it is written below runs/, see docs/reliability.md
 faults: MINUTES = 60

@@ -14,6 +14,10 @@ PACKAGES = [
     'carracing_dqn.bringup', 'carracing_dqn.evaluation', 'carracing_dqn.simulation',
     'carracing_dqn.benchmarks',
 ]
+EXECUTABLES = (
+    'carracing', 'carracing_sim_node', 'dqn_policy_node', 'trainer_node', 'validation_node',
+    'bag_recorder_node', 'bag_player_node',
+)
 SHARED = ('launch', 'config', 'models')
 
 
@@ -63,20 +67,15 @@ setup(
     extras_require={
         # rclpy and the messages as wheels, for machines without an installed ROS
         'wheels': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
-        'test': ['hypothesis', 'mcap-ros2-support', 'pytest', 'ruff'],
+        'test': [
+            'colcon-core', 'colcon-ros', 'hypothesis', 'mcap-ros2-support', 'pytest', 'ruff'],
         'tensorboard': ['tensorboard'],
         'bench': ['envpool', 'mcap-ros2-support', 'psutil', 'stable-baselines3'],
     },
     zip_safe=True,
     entry_points={
         'console_scripts': [
-            'carracing = carracing_dqn.bringup.command:main',
-            'carracing_sim_node = carracing_sim_node.node:main',
-            'dqn_policy_node = dqn_policy_node.node:main',
-            'trainer_node = trainer_node.node:main',
-            'validation_node = carracing_dqn.evaluation.node:main',
-            'bag_recorder_node = bags.recorder_node:main',
-            'bag_player_node = bags.player_node:main',
+            f'{name} = carracing_dqn.bringup.start:{name}' for name in EXECUTABLES
         ],
     },
 )

@@ -42,6 +42,17 @@ def test_the_layout_lets_ament_find_the_package(tmp_path, monkeypatch):
     assert not (share / 'launch').is_symlink()
 
 
+@pytest.mark.parametrize('name', ['carracing', 'bag_player_node', 'carracing_sim_node'])
+def test_without_ros_an_executable_says_so_in_one_line(name):
+    hidden = (
+        'import sys; sys.modules["rclpy"] = None; from carracing_dqn.bringup import start; '
+        f'sys.argv[1:] = ["run"] * ({name!r} == "carracing"); sys.exit(start.{name}())')
+    done = subprocess.run([sys.executable, '-c', hidden], capture_output=True, text=True)
+    assert done.returncode == 2
+    assert done.stderr.startswith('error: rclpy cannot be imported') and 'wheels' in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
 @pytest.mark.skipif(not shutil.which('colcon', path=BIN), reason='colcon is not installed')
 @pytest.mark.parametrize('options', [(), ('--symlink-install',)], ids=['copied', 'linked'])
 def test_colcon_builds_it_as_an_ament_python_package(tmp_path, options):

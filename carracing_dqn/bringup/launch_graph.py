@@ -1,14 +1,27 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
-"""A graph as actions of ROS launch, for the launch files."""
+"""
+A graph as actions of ROS launch, for the launch files.
+
+It needs `launch` and `launch_ros`, which come with an installed ROS 2 and are no wheels.
+"""
 from __future__ import annotations
 
-from typing import Any
-
 from carracing_dqn.bringup.graph import Graph
+from launch import Action, LaunchContext
+from launch.actions import EmitEvent, RegisterEventHandler
+from launch.event_handlers import OnProcessExit
+from launch.events import Shutdown
+from launch.events.process import ProcessExited
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
 
 
-def launch_actions(graph: Graph, namespace: str) -> list[Any]:
+class NodeFailed(RuntimeError):
+    """A node ended with another code than 0, which ends the launch with code 1."""
+
+
+def launch_actions(graph: Graph, namespace: str) -> list[Action]:
     """
     Return what starts the nodes of a graph, and ends them all when one of them ends.
 
@@ -16,12 +29,6 @@ def launch_actions(graph: Graph, namespace: str) -> list[Any]:
         graph: the nodes, in the order in which they start.
         namespace: their ROS namespace; empty for none.
     """
-    # not every ROS has launch, and only launch files come here
-    from launch.actions import EmitEvent, RegisterEventHandler
-    from launch.event_handlers import OnProcessExit
-    from launch.events import Shutdown
-    from launch_ros.actions import Node
-    from launch_ros.parameter_descriptions import ParameterValue
     nodes = [
         Node(
             package='carracing_dqn', executable=node.kind.name, namespace=namespace,
@@ -30,6 +37,12 @@ def launch_actions(graph: Graph, namespace: str) -> list[Any]:
             parameters=[{name: ParameterValue(value, value_type=type(value))
                          for name, value in node.parameters.items()}])
         for node in graph]
-    end = RegisterEventHandler(OnProcessExit(on_exit=[EmitEvent(event=Shutdown(
-        reason='a node of the graph has ended'))]))
-    return [end, *nodes]
+    return [RegisterEventHandler(OnProcessExit(on_exit=_end_all)), *nodes]
+
+
+def _end_all(event: ProcessExited, context: LaunchContext) -> EmitEvent | None:
+    if context.is_shutdown:
+        return None
+    if event.returncode:
+        raise NodeFailed(f'{event.process_name} ended with code {event.returncode}')
+    return EmitEvent(event=Shutdown(reason=f'{event.process_name} is done'))
