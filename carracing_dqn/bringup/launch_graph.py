@@ -1,27 +1,18 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
-"""
-A graph as actions of ROS launch, for the launch files.
-
-It needs `launch` and `launch_ros`, which come with an installed ROS 2 and are no wheels.
-"""
+"""A graph as actions of ROS launch, for the launch files."""
 from __future__ import annotations
 
+from typing import Any
+
 from carracing_dqn.bringup.graph import Graph
-from launch import Action, LaunchContext
-from launch.actions import EmitEvent, RegisterEventHandler
-from launch.event_handlers import OnProcessExit
-from launch.events import Shutdown
-from launch.events.process import ProcessExited
-from launch_ros.actions import Node
-from launch_ros.parameter_descriptions import ParameterValue
 
 
 class NodeFailed(RuntimeError):
     """A node ended with another code than 0, which ends the launch with code 1."""
 
 
-def launch_actions(graph: Graph, namespace: str) -> list[Action]:
+def launch_actions(graph: Graph, namespace: str) -> list[Any]:
     """
     Return what starts the nodes of a graph, and ends them all when one of them ends.
 
@@ -29,6 +20,11 @@ def launch_actions(graph: Graph, namespace: str) -> list[Action]:
         graph: the nodes, in the order in which they start.
         namespace: their ROS namespace; empty for none.
     """
+    # not every ROS has launch, and only launch files come here
+    from launch.actions import RegisterEventHandler
+    from launch.event_handlers import OnProcessExit
+    from launch_ros.actions import Node
+    from launch_ros.parameter_descriptions import ParameterValue
     nodes = [
         Node(
             package='carracing_dqn', executable=node.kind.name, namespace=namespace,
@@ -40,7 +36,10 @@ def launch_actions(graph: Graph, namespace: str) -> list[Action]:
     return [RegisterEventHandler(OnProcessExit(on_exit=_end_all)), *nodes]
 
 
-def _end_all(event: ProcessExited, context: LaunchContext) -> EmitEvent | None:
+def _end_all(event: Any, context: Any) -> Any:
+    """End the launch with the first node that ends, and with code 1 if that one has failed."""
+    from launch.actions import EmitEvent
+    from launch.events import Shutdown
     if context.is_shutdown:
         return None
     if event.returncode:
