@@ -116,7 +116,7 @@ class Graph(ProcessGroup):
 
     def join(self) -> tuple[list, TransitionJoiner]:
         """Join what was collected into transitions."""
-        joiner = TransitionJoiner(capacity=100_000)
+        joiner = TransitionJoiner(capacity=100_000, image_bytes=2**40)
         joined = []
         for message in self.messages[topics.IMAGE.name]:
             joined += joiner.add_image(

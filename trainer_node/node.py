@@ -4,47 +4,49 @@
 trainer_node: transitions in, better weights out.
 
 Purpose: join `image_raw`, `step` and `cmd_vel` into transitions, learn from them, publish weights.
+Images and twists go through the same camera and scale as those of the policy.
 
 Subscribes: `image_raw`, `step`, `cmd_vel`, `validation`. Publishes: `weights`, `/diagnostics`.
-Services: `~/save`, `~/evaluate` (std_srvs/Trigger). Calls: `~/hold` of the simulator.
+Services: `~/save`, `~/evaluate` (std_srvs/Trigger). Calls: `~/hold` of the simulator, if it has
+that.
 Parameters: `trainer_node/settings.py`, hyperparameters in `trainer_node/hyperparameters.py`.
 
 Behaviour when things go wrong: a message that cannot be used is counted and logged (throttled); a
-transition with a lost part is dropped and counted; on any error or signal everything is saved and
-the log says where, or that it could not be saved (seed document 4.2.2).
+transition with a lost part is dropped and counted; when nothing can be joined, the diagnostics
+name the topic that is to blame. On any signal everything is saved and what waits is dropped; a
+loss that is not finite, or a step that lacks what a shaping term needs, ends learning, and the
+checkpoint of before is kept. The log says where, or that it could not be saved (seed document
+4.2.2).
 """
 from __future__ import annotations
 
 from array import array
-from collections import deque
 import sys
 import threading
 import time
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from dqn_policy_node.camera import Camera
 from msgs_bridge import topics
 from msgs_bridge.errors import BridgeError
-from msgs_bridge.images import image_to_array
 from msgs_bridge.named_values import read_named_values
 from msgs_bridge.node_shell import Finished, NodeShell, run_node
 from msgs_bridge.stamps import to_nanoseconds
 from msgs_bridge.step import read_step, VALIDATION_FIELDS
-from msgs_bridge.transitions import Transition, TransitionJoiner
 from msgs_bridge.twists import read_command
 from std_msgs.msg import UInt8MultiArray
 from std_srvs.srv import SetBool, Trigger
 from trainer_node.driver import Driver
 from trainer_node.open_run import open_training, read_overrides, run_settings
 from trainer_node.settings import TrainerSettings
+from trainer_node.source import Source
 
-# Messages of one topic that are taken before the next transition is learned from.
-TAKEN_AT_ONCE = 200
+# Messages are taken topic by topic in rounds, so that no topic runs far ahead of the others.
+TAKEN_AT_ONCE = 20
+ROUNDS = 10
 
 # How long the learning thread sleeps when nothing has come in.
 IDLE_SECONDS = 0.0005
-
-# Times the queue limit at which transitions are dropped because nobody can be held back.
-OVERRUN = 50
 
 
 class TrainerNode(NodeShell):
@@ -66,15 +68,19 @@ class TrainerNode(NodeShell):
                 read_overrides(filter(None, settings.overrides.split(','))),
                 resume=settings.resume),
             resume=settings.resume, device=settings.device, tensorboard=settings.tensorboard)
-        self._joiner = TransitionJoiner()
-        self._waiting: deque[Transition] = deque()
+        preprocessing = training.description.preprocessing
+        self._camera = Camera(
+            settings, preprocessing.frame_height, preprocessing.frame_width)
+        self._source = Source(settings.queue_limit)
         self._failure: Exception | None = None
         self._holding = False
         self._stopping = threading.Event()
         self._weights_publisher = self.publisher(topics.WEIGHTS)
         self._inputs = (
             self.subscription(
-                topics.IMAGE, self._on_image, depth=topics.STALL_DEPTH, polled=True),
+                topics.IMAGE, self._on_image, depth=topics.STALL_DEPTH, polled=True,
+                type_name='sensor_msgs/msg/CompressedImage'
+                if settings.camera_compressed else None),
             self.subscription(topics.STEP, self._on_step, polled=True),
             self.subscription(topics.CMD_VEL, self._on_twist, polled=True))
         self.subscription(topics.VALIDATION, self._on_validation)
@@ -82,10 +88,9 @@ class TrainerNode(NodeShell):
         self.create_service(Trigger, '~/evaluate', self._on_evaluate)
         self._hold = self.create_client(SetBool, f'{settings.simulator}/hold')
         self._learner_called = self.create_guard_condition(self._on_learner)
-        logger = self.get_logger()
         self._driver = Driver(
-            training, self._publish_weights, say=logger.info,
-            warn=lambda text: logger.warn(text, throttle_duration_sec=5.0),
+            training, self._publish_weights, say=self.get_logger().info,
+            warn=lambda text: self.warn_of('learning', text),
             last_validation_seconds=settings.last_validation_seconds)
         self._learning = threading.Thread(target=self._learn, name='learning')
         self._learning.start()
@@ -118,37 +123,41 @@ class TrainerNode(NodeShell):
     # --- learning thread: messages to transitions
 
     def _on_image(self, message: object) -> None:
-        frame = image_to_array(message)
-        self._put(self._joiner.add_image(to_nanoseconds(message.header.stamp), frame))
+        frame = self._camera.frame(message)
+        if len(message.data) > 2 * frame.nbytes:
+            # a part of a large image would keep all of it in memory
+            frame = frame.copy()
+        self._put(self._source.add_image(to_nanoseconds(message.header.stamp), frame))
 
     def _on_step(self, message: object) -> None:
         step = read_step(read_named_values(message))
-        self._put(self._joiner.add_step(to_nanoseconds(message.header.stamp), step))
+        self._put(self._source.add_step(to_nanoseconds(message.header.stamp), step))
 
     def _on_twist(self, message: object) -> None:
-        command = read_command(message.twist)
-        self._put(self._joiner.add_twist(to_nanoseconds(message.header.stamp), command))
+        command = self.settings.from_robot(read_command(message.twist))
+        self._put(self._source.add_twist(to_nanoseconds(message.header.stamp), command))
 
-    def _put(self, transitions: list[Transition]) -> None:
-        room = OVERRUN * self.settings.queue_limit - len(self._waiting)
-        self._waiting.extend(transitions[:room])
-        if len(transitions) > room:
+    def _put(self, complete: bool) -> None:
+        if not complete:
             # a simulator without ~/hold, or a bag played too fast
-            self.counts['transitions_overrun'] += len(transitions) - room
-            self.get_logger().warn(
-                'transitions come faster than they are learned from and nobody answers '
-                f'{self.settings.simulator}/hold: some are dropped', throttle_duration_sec=10.0)
+            self.warn_of('transitions', 'they come faster than they are learned from and nobody '
+                         f'answers {self.settings.simulator}/hold: some are dropped')
 
     def _take_messages(self) -> None:
         """Take what has come in, topic by topic, and hold the simulator back or let it go on."""
-        for subscription in self._inputs:
-            for _ in range(TAKEN_AT_ONCE):
-                if not self.take(subscription):
-                    break
-        if not self._holding and len(self._waiting) > self.settings.queue_limit:
-            self._set_hold(True)
-        elif self._holding and len(self._waiting) <= self.settings.queue_limit // 4:
-            self._set_hold(False)
+        for _ in range(ROUNDS):
+            taken = 0
+            for subscription in self._inputs:
+                for _ in range(TAKEN_AT_ONCE):
+                    if not self.take(subscription):
+                        break
+                    taken += 1
+            if not taken:
+                break
+        self._source.looked()
+        hold = self._source.should_hold(self._holding)
+        if hold != self._holding:
+            self._set_hold(hold)
 
     def _set_hold(self, hold: bool) -> None:
         """Hold the simulator back, or let it go on: the limiter of the replay ratio."""
@@ -173,8 +182,9 @@ class TrainerNode(NodeShell):
         # on stop what waits is dropped: learning from it would take the time to save
         while not self._stopping.is_set():
             self._take_messages()
-            if self._waiting:
-                driver.add(self._waiting.popleft())
+            transition = self._source.take()
+            if transition is not None:
+                driver.add(transition)
             else:
                 time.sleep(IDLE_SECONDS)
             if not driver.turn():
@@ -191,14 +201,32 @@ class TrainerNode(NodeShell):
     # --- both
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
-        """Return the state of learning and of the joiner."""
-        values = {**self._driver.status, 'waiting': len(self._waiting), 'holding': self._holding}
-        # a copy, because the learning thread may add a name
-        counts = dict(self._joiner.counts)
-        values.update({f'transitions_{name}': count for name, count in counts.items() if count})
+        """Return the state of learning and of the joiner, or why nothing is learned."""
+        values = {**self._driver.status, **self._source.figures(), 'holding': self._holding}
         if self._failure is not None:
             return DiagnosticStatus.ERROR, f'failed: {self._failure}', values
+        problem = self._silence() or self._source.losses()
+        if problem:
+            return DiagnosticStatus.WARN, problem, values
         return DiagnosticStatus.OK, 'learning', values
+
+    def _silence(self) -> str:
+        """Return why nothing can be joined, '' if something is."""
+        topic = self._source.silent_topic
+        if not topic or self._driver.ended:
+            return ''
+        subscription = dict(zip(
+            (topics.IMAGE.name, topics.STEP.name, topics.CMD_VEL.name), self._inputs))[topic]
+        if not subscription.publishers:
+            return f'no {topic}: nobody publishes {subscription.name}'
+        if len(subscription.unheard) == subscription.publishers:
+            return f'no {topic}: nothing that is published on {subscription.name} fits'
+        if self.counts[f'rejected_{topic}'] and not self._source.joiner.counts['joined']:
+            return f'no {topic} that can be used'
+        waiting = self._source.joiner.waiting
+        if waiting:
+            return f'no {topic} with the stamp of the oldest of {waiting} steps that wait for it'
+        return f'no {topic} at the moment'
 
     def close(self) -> None:
         """Finish the update under way, then save everything or say that it could not be."""

@@ -5,12 +5,14 @@ from __future__ import annotations
 
 import dataclasses
 
+from dqn_policy_node.camera import CameraSettings
+from msgs_bridge.command_scale import CommandScale
 from msgs_bridge.settings import setting
 
 
 @dataclasses.dataclass(frozen=True)
-class TrainerSettings:
-    """What can be set on the trainer node."""
+class RunSettings:
+    """Which run, and how it is driven."""
 
     run: str = setting('runs/training', 'run folder: records, checkpoint and models')
     preset: str = setting('racing', 'name of a shipped preset or path of a YAML file')
@@ -29,3 +31,8 @@ class TrainerSettings:
         90.0, 'seconds to wait at the end for the validation of the last weights; 0 = do not ask',
         low=0.0, high=3600.0)
     tensorboard: bool = setting(False, 'write TensorBoard event files into the run folder')
+
+
+@dataclasses.dataclass(frozen=True)
+class TrainerSettings(CommandScale, CameraSettings, RunSettings):
+    """What can be set on the trainer node; camera and scale as on the policy that drives."""

@@ -1,0 +1,133 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""The trainer beside a stranger: it names what is missing, learns in a robot's units, goes on."""
+import time
+
+from dqn_policy_node.action_space import DUMMY_SPACE
+from geometry_msgs.msg import Twist, TwistStamped
+from graph_probe import Graph, wait_for
+from learning_cases import TINY
+from msgs_bridge import topics
+from msgs_bridge.images import fill_image
+from msgs_bridge.named_values import fill_named_values
+from msgs_bridge.stamps import set_stamp
+from msgs_bridge.step import STEP_CORE
+from msgs_bridge.twists import Command, fill_twist, STOP
+import numpy as np
+import pytest
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import Image, JointState
+from trainer_node.checkpoint_file import read_checkpoint
+from trainer_node.run_folder import RunFolder
+import yaml
+
+DECISION = 80_000_000
+SCALE = {'linear_scale': 2.0, 'angular_scale': -0.5}
+
+
+class Stranger:
+    """A simulator that publishes the core of `step` and nothing of ours, at its own size."""
+
+    def __init__(self, graph):
+        self.graph, self.stamp, self.number = graph, 10**9, 0
+        self.image = self.step = self.twist = None
+
+    def frame(self, *, applied=None, command=STOP):
+        """Publish what there are publishers for, once."""
+        if self.image is not None:
+            pixels = np.random.default_rng(self.number).integers(0, 256, (48, 64, 3), np.uint8)
+            self.image.publish(fill_image(Image(), pixels, self.stamp, 'eye'))
+        if self.step is not None:
+            seconds, nanoseconds = divmod(
+                self.stamp - DECISION if applied is None else applied, 10**9)
+            self.step.publish(fill_named_values(JointState(), {
+                **dict.fromkeys(STEP_CORE, 0.0), 'reward': 0.1, 'seed': -1.0,
+                'decision': self.number, 'applied_sec': seconds if self.number else -1,
+                'applied_nanosec': nanoseconds}, self.stamp))
+        if self.twist is not None:
+            message = TwistStamped()
+            set_stamp(message.header.stamp, self.stamp)
+            fill_twist(message.twist, Command(
+                command.linear * SCALE['linear_scale'],
+                command.angular * SCALE['angular_scale']))
+            self.twist.publish(message)
+        self.stamp += DECISION
+        self.number += 1
+
+    def drive_until(self, condition, seconds, what, **options):
+        deadline = time.monotonic() + seconds
+        while not condition():
+            assert time.monotonic() < deadline, (
+                f'{what} within {seconds} s; {self.graph.health("trainer_node")}; '
+                f'{self.graph.last_words()}')
+            self.frame(**options)
+            self.graph.spin(0.02)
+
+
+@pytest.fixture
+def graph(tmp_path):
+    with Graph(tmp_path, 'stranger') as graph:
+        graph.listen(topics.DIAGNOSTICS)
+        preset = tmp_path / 'tiny.yaml'
+        preset.write_text(yaml.safe_dump({**TINY, 'validation_every_episodes': 0}))
+        graph.run = tmp_path / 'run'
+        graph.node('trainer_node', 'trainer', run=str(graph.run), preset=str(preset),
+                   simulator='nobody', **SCALE)
+        yield graph
+
+
+def says(graph, text):
+    return lambda: text in graph.health('trainer_node').get('summary', '')
+
+
+def learned(graph):
+    return int(float(graph.health('trainer_node').get('decisions', 0)))
+
+
+def test_a_trainer_names_what_is_missing_and_learns_from_any_simulator(graph):
+    stranger = Stranger(graph)
+    probe = graph.probe
+    stranger.drive_until(
+        says(graph, 'no step: nobody publishes /stranger/step'), 60, 'no step')
+    stranger.step = graph.publisher(topics.STEP)
+    stranger.drive_until(says(graph, 'no image_raw: nobody publishes'), 10, 'no image')
+    # as cameras publish
+    stranger.image = probe.create_publisher(
+        Image, 'image_raw', QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT))
+    stranger.drive_until(says(graph, 'no cmd_vel: nobody publishes'), 10, 'no twist')
+    plain = probe.create_publisher(Twist, 'cmd_vel', 10)
+    stranger.drive_until(
+        says(graph, 'no cmd_vel: nothing that is published on /stranger/cmd_vel fits'), 10,
+        'a plain twist')
+    probe.destroy_publisher(plain)
+    stranger.twist = graph.publisher(topics.CMD_VEL)
+    # a twist of a robot that none of the actions means
+    stranger.drive_until(says(graph, 'is no action of'), 15, 'a foreign action',
+                         command=Command(0.33, 0.0))
+    assert learned(graph) == 0
+    stranger.drive_until(lambda: learned(graph) > 40, 30, 'learning in m/s and rad/s',
+                         command=DUMMY_SPACE.commands[1])
+    stranger.drive_until(says(graph, 'learning'), 10, 'all is well',
+                         command=DUMMY_SPACE.commands[1])
+    _odd_messages(graph, stranger)
+    before = learned(graph)
+    stranger.drive_until(lambda: learned(graph) > before + 40, 20, 'learning after odd messages',
+                         command=DUMMY_SPACE.commands[1])
+    stranger.twist = None
+    stranger.drive_until(lambda: 'cmd_vel' in graph.health('trainer_node')['summary'], 10,
+                         'twists that stopped')
+    graph.children['trainer'].process.terminate()
+    wait_for(lambda: graph.children['trainer'].process.poll() is not None, 15, 'the end')
+    assert graph.children['trainer'].process.returncode == 0
+    state = read_checkpoint(RunFolder(graph.run).checkpoint)[1]['learning']
+    assert state['decisions'] >= before + 40 and state['updates'] > 0
+
+
+def _odd_messages(graph, stranger):
+    """Publish messages whose stamps are far off on every topic, once each."""
+    regular = stranger.stamp
+    for stamp in (0, 1, 2**31 * 10**9 - 1, regular + 3 * 10**10):
+        stranger.stamp = stamp
+        stranger.frame(command=DUMMY_SPACE.commands[2])
+        stranger.stamp, stranger.number = regular, stranger.number - 1
+        graph.spin(0.1)
