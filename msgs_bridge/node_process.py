@@ -16,6 +16,7 @@ import time
 import traceback
 from typing import Any
 
+from msgs_bridge.dead_segments import remove_dead_segments
 from msgs_bridge.errors import BridgeError, SettingsError
 from msgs_bridge.host_only import stay_on_this_host
 from msgs_bridge.plain_text import plain
@@ -96,6 +97,7 @@ def run_node(make_node: Callable[[], Any], args: list[str] | None = None) -> int
                 '--ros-args -p NAME:=VALUE; --help lists them')
         else:
             stay_on_this_host()
+            remove_dead_segments()
             STARTED.arguments = arguments
             finished = _spin_to_the_end(make_node, arguments)
             code = 0 if finished else STARTED.stopped_code
