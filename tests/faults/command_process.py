@@ -24,9 +24,11 @@ CODES = (0, 1, 2, 130)
 LONGEST_LINE = 500
 """Characters that a line may have."""
 
-PRELOADED = ('faults.command_process', 'carracing_dqn.bringup.command', 'bags.command',
-             'bags.verify', 'bags.recover', 'bags.info', 'carracing_dqn.bringup.train_command',
-             'carracing_dqn.bringup.train_from_bag', 'carracing_dqn.bringup.evaluate_command')
+# torch's optimizers import _dynamo, which takes seconds
+PRELOADED = (
+    'torch._dynamo', 'faults.command_process', 'carracing_dqn.bringup.command', 'bags.command',
+    'bags.verify', 'bags.recover', 'bags.info', 'carracing_dqn.bringup.train_command',
+    'carracing_dqn.bringup.train_from_bag', 'carracing_dqn.bringup.evaluate_command')
 
 
 @dataclasses.dataclass

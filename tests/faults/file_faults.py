@@ -48,6 +48,8 @@ def splice(data: bytes, random: Random) -> bytes:
     return data[:begin] + middle + data[end:]
 
 
+COMMAND_SECONDS = 120.0
+
 DAMAGE = {'cut': cut, 'flip': flip, 'splice': splice}
 
 
@@ -165,9 +167,13 @@ class Originals:
         folder: where they lie.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, drive: Callable[[Path], object] | None = None) -> None:
         """
         Drive a lap and learn a little from it.
+
+        Args:
+            folder: a new one.
+            drive: records another bag into a folder that it is given, with a decision a frame.
 
         Raises:
             AssertionError: that does not work.
@@ -175,15 +181,17 @@ class Originals:
         self.folder = folder
         folder.mkdir()
         preset = folder / 'tiny.yaml'
-        preset.write_text(yaml.safe_dump({**PRESET, 'action_repeat': 1, 'run_decisions': 300,
-                                          'weights_every': 10}))
-        for words in (
-            ('run', '--model', 'random', '--laps', '1', '--output', str(folder / 'drive')),
-            ('train', '--preset', str(preset), '--run', str(folder / 'run'), '--from-bag',
-             str(folder / 'drive' / 'bag')),
-        ):
-            ended = run_command(words, folder, seconds=180)
-            assert ended.code == 0, (words, ended.code, ended.text[-2000:])
+        preset.write_text(yaml.safe_dump({**PRESET, 'action_repeat': 1, 'run_decisions': 300}))
+        if drive is None:
+            self._run('run', '--model', 'random', '--laps', '1', '--output', 'drive')
+        else:
+            (folder / 'drive').mkdir()
+            drive(folder / 'drive' / 'bag')
+        self._run('train', '--preset', 'tiny.yaml', '--run', 'run', '--from-bag', 'drive/bag')
+
+    def _run(self, *words: str) -> None:
+        ended = run_command(words, self.folder, seconds=COMMAND_SECONDS)
+        assert ended.code == 0, (words, ended.code, ended.text[-2000:])
 
     def copy(self, place: Path) -> Path:
         """Return a fresh copy of everything."""
@@ -225,7 +233,6 @@ READERS['model description'] = READERS['weights']
 NOTICE = {'bag': 'verify', 'checkpoint': 'train', 'weights': 'evaluate'}
 """Files with a checksum, and the command that must not say 0 of them when they are damaged."""
 
-COMMAND_SECONDS = 120.0
 MOST_MIB = 1500
 
 

@@ -26,7 +26,7 @@ TESTS = Path(__file__).resolve().parents[1]
 
 PRESET = {
     'convolutions': '8@8/4 8@4/2', 'hidden': 16, 'shrink': 2, 'action_repeat': 4,
-    'early_end_frames': 60, 'learning_starts': 50, 'replay_capacity': 5000, 'weights_every': 50,
+    'early_end_frames': 60, 'learning_starts': 50, 'replay_capacity': 5000, 'weights_every': 10,
     'samples_per_transition': 1.0, 'validation_tracks': 1, 'validation_every_episodes': 0,
     'validation_every_minutes': 0.1, 'run_episodes': 0, 'checkpoint_every_minutes': 0.05,
 }

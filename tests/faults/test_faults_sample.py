@@ -3,9 +3,10 @@
 """A short, seeded sample of what `make faults` tries for an hour; see docs/reliability.md."""
 from random import Random
 
+from bag_cases import record_drive
 from faults import tables
 from faults.fault_node import BY_NAME
-from faults.file_faults import FILES, READERS
+from faults.file_faults import FILES, Originals, READERS, try_file_fault
 from faults.message_faults import garbage, random_message, wrong
 from faults.message_runner import try_message_fault
 from faults.process_faults import FAULTS, try_process_fault
@@ -13,6 +14,7 @@ from faults.relay import KINDS, PASS, Relay
 from faults.running_graph import NODES, RunningGraph
 from msgs_bridge.message_types import message_class
 from msgs_bridge.topics import TOPICS
+from msgs_bridge.twists import Command
 import pytest
 from rclpy.serialization import deserialize_message, serialize_message
 
@@ -41,6 +43,23 @@ def test_a_graph_survives_a_sample_of_faults(tmp_path):
     finally:
         outcomes.append(graph.end())
     assert not [outcome.line() for outcome in outcomes if not outcome.survived]
+
+
+@pytest.fixture(scope='module')
+def originals(tmp_path_factory):
+    """Return a bag, a run that has learned from it, and its model."""
+    commands = [Command(1.0, 0.0), Command(0.0, 1.0), Command(0.0, 0.0), Command(0.0, -1.0)]
+    return Originals(tmp_path_factory.mktemp('files') / 'originals', lambda bag: record_drive(
+        bag, episodes=4, decisions=100,
+        drive_with=lambda number: commands[number // 7 % len(commands)]))
+
+
+@pytest.mark.parametrize('case', [
+    case for case in tables.FILES if case.file in ('bag', 'bag metadata', 'weights', 'preset')],
+    ids=lambda case: f'{case.fault} {case.file}')
+def test_damaged_and_lying_files_are_told_in_a_line(originals, tmp_path, case):
+    outcome = try_file_fault(originals, tmp_path / 'copy', case, seed=2)
+    assert outcome.survived, outcome.line()
 
 
 def number(value: int) -> bytes:
