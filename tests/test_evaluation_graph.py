@@ -1,14 +1,21 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
 """The same laps over topics."""
+import signal
+
 from carracing_dqn.bringup.graph_laps import run_graph
 from carracing_dqn.evaluation.errors import EvaluationError
 from carracing_dqn.evaluation.lap_series import drive_laps
 from carracing_dqn.evaluation.policies import PolicySource
 from carracing_dqn.evaluation.through_graph import consecutive, drive_laps_through_graph
+from dqn_policy_node.network import QNetwork
+from dqn_policy_node.weights_message import encode_weights
+from msgs_bridge import topics
 from msgs_bridge.errors import BridgeError
 from msgs_bridge.step import EPISODE_CORE
 import pytest
+from std_msgs.msg import UInt8MultiArray
+from trainer_node.hyperparameters import Hyperparameters
 
 MODEL = PolicySource('model', 'some_model')
 
@@ -60,3 +67,37 @@ def test_laps_over_topics_are_those_in_process(tmp_path):
     over_topics = list(drive_laps_through_graph(source, [11], run_graph, bag=bag))
     assert over_topics == list(drive_laps(source, [11], simulator='fast'))
     assert (bag / 'metadata.yaml').is_file()
+
+
+def test_the_validator_answers_while_it_drives(graph):
+    description = Hyperparameters(convolutions='8@8/4', hidden=16).model_description()
+    graph.listen(topics.DIAGNOSTICS, topics.VALIDATION)
+    weights = graph.publisher(topics.WEIGHTS)
+    validator = graph.node('carracing_dqn.evaluation.node', 'validator', tracks=1000)
+    graph.spin_until(weights.get_subscription_count, 30, 'the validator')
+
+    weights.publish(UInt8MultiArray(data=encode_weights(
+        QNetwork(description).state_dict(), description, version=1, validate=True)))
+    graph.spin_until(
+        lambda: graph.health('validation_node').get('version') == '1', 30, 'version 1')
+    before = len(graph.messages[topics.DIAGNOSTICS.name])
+    graph.spin_until(
+        lambda: len(graph.messages[topics.DIAGNOSTICS.name]) > before + 3, 20, 'diagnostics')
+    assert not graph.messages[topics.VALIDATION.name]
+    validator.signal(signal.SIGINT)
+    assert validator.process.wait(10) == 0
+
+
+def test_the_validator_drives_the_newest_version_that_waits(graph):
+    description = Hyperparameters(convolutions='8@8/4', hidden=16).model_description()
+    graph.listen(topics.DIAGNOSTICS, topics.VALIDATION)
+    weights = graph.publisher(topics.WEIGHTS)
+    graph.node('carracing_dqn.evaluation.node', 'validator', tracks=1)
+    graph.spin_until(weights.get_subscription_count, 30, 'the validator')
+    for version in range(1, 8):
+        weights.publish(UInt8MultiArray(data=encode_weights(
+            QNetwork(description).state_dict(), description, version=version, validate=True)))
+    graph.spin_until(lambda: any(
+        dict(zip(message.name, message.position))['version'] == 7
+        for message in graph.messages[topics.VALIDATION.name]), 60, 'version 7')
+    assert len(graph.messages[topics.VALIDATION.name]) <= 3

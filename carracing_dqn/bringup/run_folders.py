@@ -16,35 +16,22 @@ def default_folder(prefix: str) -> Path:
     return Path('runs') / f'{prefix}-{time.strftime("%Y%m%d-%H%M%S")}'
 
 
-def new_folder(path: Path) -> Path:
+def new_folder(path: Path, *, begun: bool = False) -> Path:
     """
-    Make the output folder of a run, with a folder for logs in it.
+    Make the output folder of a run, with a folder for logs in it, and return it.
+
+    Args:
+        path: the folder.
+        begun: whether it may be there already, with a run that goes on.
 
     Raises:
         BridgeError: it exists already or cannot be made.
     """
     try:
-        path.mkdir(parents=True)
-        (path / LOGS).mkdir()
+        path.mkdir(parents=True, exist_ok=begun)
+        (path / LOGS).mkdir(exist_ok=begun)
     except FileExistsError:
         raise BridgeError(f'{path} exists already; choose another folder') from None
     except OSError as error:
         raise BridgeError(f'{path} cannot be made: {error.strerror}') from None
-    return path
-
-
-def reopened_folder(path: Path) -> Path:
-    """
-    Return the folder of a run that goes on, after a look whether it can be written.
-
-    Raises:
-        BridgeError: it cannot.
-    """
-    try:
-        (path / LOGS).mkdir(exist_ok=True)
-        probe = path / LOGS / '.writable'
-        probe.touch()
-        probe.unlink()
-    except OSError as error:
-        raise BridgeError(f'{path} cannot be written: {error.strerror}') from None
     return path

@@ -16,7 +16,7 @@ from carracing_dqn.bringup.display import Display
 from carracing_dqn.bringup.graph import Graph, training_graph
 from carracing_dqn.bringup.monitor import absolute_namespace, Monitor
 from carracing_dqn.bringup.provenance import with_provenance
-from carracing_dqn.bringup.run_folders import default_folder, new_folder, reopened_folder
+from carracing_dqn.bringup.run_folders import default_folder, new_folder
 from carracing_dqn.bringup.supervise import check_machine, refuse_second_simulator, run_to_the_end
 from carracing_dqn.bringup.training_display import best_score, training_line, training_table
 from carracing_dqn.simulation import find_simulator
@@ -59,36 +59,39 @@ def main(arguments: argparse.Namespace) -> int:
     """Train until the run is complete or the user stops it; return the exit code."""
     _check(arguments)
     console = Console()
-    resume = arguments.resume is not None
-    overrides = _overrides(arguments)
-    preset = arguments.preset or PRESET
-    if arguments.from_bag:
-        from carracing_dqn.bringup.train_from_bag import learn_from_bags
-        folder = arguments.resume or arguments.run or default_folder(Path(preset).stem)
-        if not resume and folder.exists() and not RunFolder(folder).unfinished_start:
-            raise BridgeError(f'{folder} exists already; choose another folder')
-        return learn_from_bags(
-            arguments.from_bag, folder, preset, overrides, console,
-            namespace=arguments.namespace, resume=resume, tensorboard=arguments.tensorboard)
+    resume, preset = arguments.resume is not None, arguments.preset or PRESET
     # before the folder is made, so that a wrong name leaves nothing behind
+    overrides = _overrides(arguments)
     hyperparameters = run_settings(arguments.resume, preset, overrides, resume=resume)
     if arguments.list:
         for line in hyperparameter_lines(hyperparameters, shutil.get_terminal_size().columns):
             say(console, line)
         return 0
+    folder = arguments.resume or arguments.run or default_folder(Path(preset).stem)
+    # one that was killed before its first checkpoint is begun anew
+    begun = resume or RunFolder(folder).unfinished_start
+    if folder.exists() and not begun:
+        raise BridgeError(f'{folder} exists already; choose another folder'
+                          f'{_what_next(folder, ", or ")}')
+    if arguments.from_bag:
+        from carracing_dqn.bringup.train_from_bag import learn_from_bags
+        return learn_from_bags(
+            arguments.from_bag, folder, preset, overrides, console,
+            namespace=arguments.namespace, resume=resume, tensorboard=arguments.tensorboard)
     find_simulator(hyperparameters.simulator)
+    done = resume_point(folder, hyperparameters) if resume else (0, 0)
     check_machine()
     monitor = Monitor(arguments.namespace)
     try:
         refuse_second_simulator(monitor)
-        folder = _folder(arguments)
+        new_folder(folder, begun=begun)
         display = Display(monitor.state, training_table, training_line, console)
         display.say(f'run folder {folder}')
         interrupted = run_to_the_end(
-            _graph(arguments, hyperparameters, folder), namespace=arguments.namespace,
+            _graph(arguments, hyperparameters, folder, *done), namespace=arguments.namespace,
             folder=folder, monitor=monitor, display=display)
     except BridgeError as error:
-        raise BridgeError(f'{error}{_what_next(arguments, "; ")}') from None
+        raise BridgeError(f'{error}{_what_next(folder, "; ")}') from None
     finally:
         monitor.close()
     run = RunFolder(folder)
@@ -97,7 +100,7 @@ def main(arguments: argparse.Namespace) -> int:
         if path.is_dir():
             display.say(f'{name} model: {path}{more}')
     if interrupted:
-        display.say(_what_next(arguments) or 'nothing was learned yet')
+        display.say(_what_next(folder) or 'nothing was learned yet')
     return 130 if interrupted else 0
 
 
@@ -128,31 +131,17 @@ def _pairs(arguments: argparse.Namespace) -> list[str]:
     return [*arguments.set, *minutes]
 
 
-def _folder(arguments: argparse.Namespace) -> Path:
-    """Make the run folder, or open it again; `arguments.run` is then where it is."""
-    if arguments.resume is not None:
-        arguments.run = reopened_folder(arguments.resume)
-    else:
-        run = arguments.run or default_folder(Path(arguments.preset or PRESET).stem)
-        # one that was killed before its first checkpoint is begun anew
-        again = RunFolder(run).unfinished_start
-        arguments.run = reopened_folder(run) if again else new_folder(run)
-    return arguments.run
-
-
-def _what_next(arguments: argparse.Namespace, before: str = '') -> str:
+def _what_next(folder: Path, before: str = '') -> str:
     """Return how to go on with a run that has a checkpoint, after some text; else nothing."""
-    if arguments.run is None or not RunFolder(arguments.run).checkpoint.is_file():
+    if not RunFolder(folder).checkpoint.is_file():
         return ''
-    return f'{before}go on with: carracing train --resume {shlex.quote(str(arguments.run))}'
+    return f'{before}go on with: carracing train --resume {shlex.quote(str(folder))}'
 
 
 def _graph(
     arguments: argparse.Namespace, hyperparameters: Hyperparameters, folder: Path,
+    episodes: int, decisions: int,
 ) -> Graph:
-    episodes, decisions = 0, 0
-    if arguments.resume is not None:
-        episodes, decisions = resume_point(folder, hyperparameters)
     preset = arguments.preset or PRESET
     if Path(preset).expanduser().is_file():
         # paths count from the run folder, which is where the nodes are

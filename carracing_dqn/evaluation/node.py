@@ -10,11 +10,15 @@ Subscribes: `weights`. Publishes: `validation`, `/diagnostics`.
 Parameters: `carracing_dqn/evaluation/settings.py`.
 
 Behaviour when things go wrong: weights whose hash, description or values are wrong are counted
-and logged (throttled); while laps are driven, newer versions wait and only the newest is driven.
+and logged (throttled), and so is a validation that cannot be driven; while laps are driven, newer
+versions wait and only the newest is driven.
 """
 from __future__ import annotations
 
+import contextlib
+import queue
 import sys
+import threading
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from dqn_policy_node.policy import Policy
@@ -26,25 +30,35 @@ from msgs_bridge import topics
 from msgs_bridge.errors import BridgeError, MessageError
 from msgs_bridge.named_values import fill_named_values
 from msgs_bridge.node_shell import NodeShell, run_node
+from msgs_bridge.plain_text import plain
 from msgs_bridge.stamps import to_nanoseconds
 from sensor_msgs.msg import JointState
 
-# Marked versions that may wait behind the laps of another.
-WAITING = 20
+# a reader that keeps few goes deaf in a flood
+WEIGHTS_DEPTH = 100
 
 
 class ValidationNode(NodeShell):
-    """The validator as a node."""
+    """
+    The validator as a node.
+
+    A thread of its own drives the laps, so that services, parameters and diagnostics answer
+    meanwhile. It hands results and failures to the ROS thread.
+    """
 
     def __init__(self) -> None:
         """Declare parameters and wait for marked weights."""
         super().__init__('validation_node', ValidationSettings)
         self._simulator = make_simulator(self.settings.simulator)
-        self._wanted: WeightsUpdate | None = None
+        self._wanted: queue.Queue[WeightsUpdate] = queue.Queue(maxsize=1)
+        self._results: queue.SimpleQueue[dict[str, float] | Exception] = queue.SimpleQueue()
         self._driven = -1
+        self._stopping = threading.Event()
         self._validation = self.publisher(topics.VALIDATION)
-        self.subscription(topics.WEIGHTS, self._on_weights, depth=WAITING)
-        self.create_timer(0.1, self._drive)
+        self.subscription(topics.WEIGHTS, self._on_weights, depth=WEIGHTS_DEPTH)
+        self._lap_driver_called = self.create_guard_condition(self._on_result)
+        # it is left alone at the end, because a lap may take longer than a node has to stop
+        threading.Thread(target=self._drive, name='laps', daemon=True).start()
 
     def _on_weights(self, message: object) -> None:
         try:
@@ -52,29 +66,54 @@ class ValidationNode(NodeShell):
             update = decode_weights(data) if is_marked(data) else None
         except BridgeError as error:
             raise MessageError(str(error)) from None
-        if update is not None and update.version != self._driven:
-            self._wanted = update
+        if update is None or update.version == self._driven:
+            return
+        # one that still waits is older
+        with contextlib.suppress(queue.Empty):
+            self._wanted.get_nowait()
+        self._wanted.put(update)
 
     def _drive(self) -> None:
-        """Drive the laps of the newest marked version."""
-        update, self._wanted = self._wanted, None
-        if update is None:
-            return
-        self._driven = update.version
+        """Drive the laps of the newest marked version, again and again."""
+        while not self._stopping.is_set():
+            update = self._wanted.get()
+            self._driven = update.version
+            try:
+                result: dict[str, float] | Exception = self._validate(update)
+            except Exception as error:  # the ROS thread must see every kind
+                result = error
+            if not self._stopping.is_set():
+                self._results.put(result)
+                self._lap_driver_called.trigger()
+
+    def _validate(self, update: WeightsUpdate) -> dict[str, float]:
         policy = Policy(update.description, frame_seconds=self._simulator.frame_seconds)
         policy.swap_weights(update)
         policy.epsilon = 0.0
         seeds = range(self.settings.seed, self.settings.seed + self.settings.tracks)
-        result = validate(policy, seeds, version=update.version, simulator=self._simulator,
-                          should_stop=lambda: not self.context.ok())
-        if not self.context.ok():
-            return
-        now = to_nanoseconds(self.get_clock().now().to_msg())
-        self._validation.publish(fill_named_values(JointState(), result, now))
-        self.counts['validations'] += 1
-        self.get_logger().info(
-            f'version {update.version}: mean {result["mean"]:.1f}, '
-            f'{result["completed"]:.0%} completed, {result["seconds"]:.1f} s')
+        return validate(policy, seeds, version=update.version, simulator=self._simulator,
+                        should_stop=self._stopping.is_set)
+
+    def _on_result(self) -> None:
+        """Publish what the thread has driven; raise what it has raised."""
+        while not self._results.empty():
+            result = self._results.get()
+            if isinstance(result, BridgeError):
+                self.counts['failed_validations'] += 1
+                self.get_logger().warn(f'no validation: {plain(result)}')
+                continue
+            if isinstance(result, Exception):
+                raise result
+            now = to_nanoseconds(self.get_clock().now().to_msg())
+            self._validation.publish(fill_named_values(JointState(), result, now))
+            self.counts['validations'] += 1
+            self.get_logger().info(
+                f'version {result["version"]}: mean {result["mean"]:.1f}, '
+                f'{result["completed"]:.0%} completed, {result["seconds"]:.1f} s')
+
+    def close(self) -> None:
+        """Drive no further lap."""
+        self._stopping.set()
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
         """Return the version that was driven last."""
