@@ -190,7 +190,7 @@ def _ros_arguments(
         name: getattr(arguments, name) for name in describe(settings_class)
         if name not in given and getattr(arguments, name) is not None}
     values.update({name: text for name, text in given.items() if text})
-    result = ['carracing', '--ros-args']
+    result = ['--ros-args']
     for name, text in values.items():
         value = parse_text(settings_class, name, text)
         # rcl reads parameter values as YAML; JSON is YAML that leaves no doubt about a text

@@ -25,7 +25,7 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
 from forger import TYPES
 from geometry_msgs.msg import Twist
-from graph_probe import kill, ROOT, wait_for
+from graph_probe import carracing, kill, ROOT, wait_for
 from mcap.reader import make_reader
 from msgs_bridge import topics
 from msgs_bridge.images import fill_image
@@ -727,3 +727,20 @@ class Speaker(NodeShell):
 
 run_node(Speaker)
 """
+
+
+def test_the_command_records_and_plays(graph, tmp_path):
+    space = f'/{graph.namespace}'
+    string_bag(tmp_path / '2026_11_25', {'/words': ('std_msgs/msg/String', [offered_qos()])})
+    recorder = graph.start('command', [
+        sys.executable, '-m', 'carracing_dqn.bringup', 'bag', 'record', str(tmp_path / '1e5'),
+        '--topics', f'{space}/words'])
+    wait_for(lambda: any('recording' in line for line in said(recorder)), 20, 'recording')
+    played = carracing('bag', 'play', str(tmp_path / '2026_11_25'), '--prefix', space,
+                       '--wait-for-subscribers', '10')
+    assert played.returncode == 0, played.stderr
+    assert '20 messages played' in played.stderr
+    time.sleep(0.2)
+    assert stop(recorder) == 0
+    with BagReader(tmp_path / '1e5') as reader:
+        assert reader.topics[f'{space}/words'].message_count == 20
