@@ -49,7 +49,19 @@ def test_without_ros_an_executable_says_so_in_one_line(name):
         f'sys.argv[1:] = ["run"] * ({name!r} == "carracing"); sys.exit(start.{name}())')
     done = subprocess.run([sys.executable, '-c', hidden], capture_output=True, text=True)
     assert done.returncode == 2
-    assert done.stderr.startswith('error: rclpy cannot be imported') and 'wheels' in done.stderr
+    assert done.stderr.startswith("error: the Python package 'rclpy' is not") and 'wheels' in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_too_few_open_files_are_raised_or_told_in_one_line():
+    def run(limits):
+        return subprocess.run(
+            ['bash', '-c', f'ulimit {limits}; exec "$@"', 'bash', sys.executable, '-m',
+             'carracing_dqn.bringup', 'bag', '--help'], capture_output=True, text=True)
+
+    assert run('-S -n 20').returncode == 0
+    done = run('-n 20')
+    assert done.returncode == 2 and 'ulimit -n 1024' in done.stderr
     assert len(done.stderr.splitlines()) == 1
 
 

@@ -3,6 +3,6 @@
 """`python -m carracing_dqn.bringup` is the `carracing` command."""
 import sys
 
-from carracing_dqn.bringup.command import main
+from carracing_dqn.bringup.start import carracing
 
-sys.exit(main())
+sys.exit(carracing())

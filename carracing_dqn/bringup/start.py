@@ -1,35 +1,46 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the executables start, and the one line that they say where ROS is missing."""
+"""What the executables start, and the one line that they say where the machine lacks something."""
 from __future__ import annotations
 
 from collections.abc import Callable
 import importlib
+import resource
 import sys
+
+from carracing_dqn.bringup.command import ERROR, missing_package
+
+FEWEST_FILES = 32
+"""Files that a node must be able to have open at once: 26 before its first topic."""
+
+ENOUGH_FILES = 1024
 
 
 def _starting(module: str) -> Callable[[], int]:
     def main() -> int:
-        try:
-            return importlib.import_module(module).main()
-        except ImportError:
-            why = _what_is_wrong_with_ros()
-            if why is None:
-                raise
-            sys.stderr.write(
-                f'error: {why}: source the setup file of an installed ROS 2 Jazzy, whose Python '
-                "this must be, or `pip install 'carracing_dqn[wheels]'`\n")
-            return 2
+        files = _allow_open_files()
+        if files < FEWEST_FILES:
+            reason = (f'only {files} files may be open at once, {FEWEST_FILES} is the least: '
+                      f'`ulimit -n {ENOUGH_FILES}` allows more')
+        else:
+            try:
+                return importlib.import_module(module).main()
+            except ModuleNotFoundError as error:
+                reason = missing_package(error)
+        sys.stderr.write(f'error: {reason}\n')
+        return ERROR
 
     return main
 
 
-def _what_is_wrong_with_ros() -> str | None:
-    try:
-        importlib.import_module('rclpy')
-    except ImportError as error:
-        return f'rclpy cannot be imported ({str(error).splitlines()[0]})'
-    return None
+def _allow_open_files() -> int:
+    """Raise a low limit of open files as far as this user may; return what it is now."""
+    now, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if now == resource.RLIM_INFINITY or now >= ENOUGH_FILES:
+        return ENOUGH_FILES
+    now = ENOUGH_FILES if most == resource.RLIM_INFINITY else min(ENOUGH_FILES, most)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (now, most))
+    return now
 
 
 carracing = _starting('carracing_dqn.bringup.command')
