@@ -249,7 +249,7 @@ class SimulatorNode(NodeShell):
             return DiagnosticStatus.OK, 'paused', values
         if self.held_back:
             return DiagnosticStatus.OK, 'held back by a learner', values
-        if self._lockstep and stepping.late:
+        if self._lockstep and stepping.unanswered:
             return DiagnosticStatus.WARN, 'waiting for a twist', values
         return DiagnosticStatus.OK, 'driving', values
 

@@ -265,6 +265,12 @@ class Lockstep(Stepping):
         return (self.frame is not None and self._answer is None and not self._over
                 and self._now() - self._asked_at > self._outlet.settings.answer_timeout)
 
+    @property
+    def unanswered(self) -> bool:
+        """Return whether an answer is overdue or was so before the frame was sent again."""
+        return self.late or (self.frame is not None and self._answer is None and not self._over
+                             and self._unanswered > 1)
+
     def take(self, command: Command, stamp: int | None) -> None:
         """Go on by a twist that answers the newest frame; the first answer counts."""
         if self.frame is None or self.finished:

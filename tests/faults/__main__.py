@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 import os
 from pathlib import Path
 from random import Random
+import signal
 import sys
 import time
 
@@ -136,6 +137,8 @@ def main() -> int:
     parser.add_argument('--output', type=Path, default=None, help='new folder')
     parser.add_argument('--only', choices=tuple(SHARES), default=None, help='one table alone')
     arguments = parser.parse_args()
+    # whoever starts this in the background of a script has it ignore Ctrl-C, and all it starts
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     os.environ.setdefault('ROS_DOMAIN_ID', '77')
     os.environ['OMP_NUM_THREADS'] = '1'
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
