@@ -65,6 +65,15 @@ def test_too_few_open_files_are_raised_or_told_in_one_line():
     assert len(done.stderr.splitlines()) == 1
 
 
+def test_a_node_that_is_stopped_while_it_starts_says_nothing():
+    slow = ('import os, signal, sys, types; from carracing_dqn.bringup import start; '
+            'sys.meta_path.insert(0, types.SimpleNamespace(find_spec=lambda name, *_: '
+            'name == "torch" and os.kill(os.getpid(), signal.SIGINT) or None)); '
+            'sys.exit(start.dqn_policy_node())')
+    done = subprocess.run([sys.executable, '-c', slow], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, '')
+
+
 @pytest.mark.skipif(not shutil.which('colcon', path=BIN), reason='colcon is not installed')
 @pytest.mark.parametrize('options', [(), ('--symlink-install',)], ids=['copied', 'linked'])
 def test_colcon_builds_it_as_an_ament_python_package(tmp_path, options):

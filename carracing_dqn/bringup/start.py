@@ -8,7 +8,7 @@ import importlib
 import resource
 import sys
 
-from carracing_dqn.bringup.command import ERROR, missing_package
+from carracing_dqn.bringup.command import ERROR, INTERRUPTED, missing_package
 
 FEWEST_FILES = 32
 """Files that a node must be able to have open at once: 26 before its first topic."""
@@ -16,7 +16,8 @@ FEWEST_FILES = 32
 ENOUGH_FILES = 1024
 
 
-def _starting(module: str) -> Callable[[], int]:
+def _starting(module: str, interrupted: int = 0) -> Callable[[], int]:
+    """Return a `main` that imports a module's, which takes seconds, and runs it."""
     def main() -> int:
         files = _allow_open_files()
         if files < FEWEST_FILES:
@@ -27,6 +28,9 @@ def _starting(module: str) -> Callable[[], int]:
                 return importlib.import_module(module).main()
             except ModuleNotFoundError as error:
                 reason = missing_package(error)
+            except KeyboardInterrupt:
+                # stopped before it had begun
+                return interrupted
         sys.stderr.write(f'error: {reason}\n')
         return ERROR
 
@@ -43,7 +47,7 @@ def _allow_open_files() -> int:
     return now
 
 
-carracing = _starting('carracing_dqn.bringup.command')
+carracing = _starting('carracing_dqn.bringup.command', INTERRUPTED)
 carracing_sim_node = _starting('carracing_sim_node.node')
 dqn_policy_node = _starting('dqn_policy_node.node')
 trainer_node = _starting('trainer_node.node')
