@@ -44,6 +44,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     verify.add_argument('bag', help='folder or single file')
     verify.add_argument('--structure-only', action='store_true', help='do not drive it again')
     verify.add_argument('--json', action='store_true', help='print JSON')
+    verify.add_argument('--simulator', metavar='NAME|MODULE:CLASS',
+                        help='drive it again in this one (default: what the bag names)')
     _add_namespace(verify)
 
     recover = commands.add_parser('recover', help='make a bag that was cut off whole')
@@ -99,7 +101,8 @@ def _verify(arguments: argparse.Namespace) -> int:
     from bags.verify import verify_bag
     with BagReader(arguments.bag) as reader:
         found = verify_bag(reader, namespace=arguments.namespace,
-                           resimulate=not arguments.structure_only)
+                           resimulate=not arguments.structure_only,
+                           simulator=arguments.simulator)
     if arguments.json:
         sys.stdout.write(json.dumps(found.as_dict(), indent=2) + '\n')
     else:

@@ -1,38 +1,43 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Drives recorded actions through the simulator again and compares every frame.
+Drives recorded commands through the simulator again and compares every frame.
 
-What a recording says of an episode - its seed, the variant, the action and the number of
-simulator frames of every decision - is in its `step` bundles; the environment then must give the
-same frames, rewards and flags to the last bit.
+What a recording says of an episode - the simulator, its constants, the seed, the command and the
+number of simulated frames of every decision - is in its provenance, `episode` and `step`
+messages; a deterministic simulator then must give the same frames, rewards, ends and info to the
+last bit.
 """
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 import dataclasses
 import json
 from typing import Any
 
 import numpy as np
 
-from bags.errors import BagError
-from bags.topic_lookup import find_topic
 from bags.decode import BundleDecoder
+from bags.errors import BagError
 from bags.frames import recorded_frames, RecordedFrame
 from bags.reader import BagReader
 from bags.steps import StepDecoder
-from carracing_sim_node.controls import controls
-from msgs_bridge.errors import MessageError
+from bags.topic_lookup import find_topic
+from carracing_dqn.simulation import find_simulator
+from carracing_dqn.simulation.registry import DEFAULT
+from msgs_bridge.errors import BridgeError, MessageError, SimulatorError
+from msgs_bridge.settings import describe, from_mapping
+from msgs_bridge.simulator import Outcome, Simulator
 from msgs_bridge.stamps import NANOSECONDS
 from msgs_bridge.topics import EPISODE, STEP
 from msgs_bridge.twists import Command
 
-# of carracing_sim_node, when the bag's provenance does not say
+# when the bag's provenance does not say
 DEFAULT_SEED = 42
 DEFAULT_MAX_FRAMES = 1000
 MAX_NAMED = 10
-# tracks of a stream that are laid one after the other to get to one, a millisecond each
+# episodes of a stream that are passed over one after the other to get to one
 MAX_STREAM = 100_000
 
 
@@ -43,8 +48,8 @@ class Resimulation:
 
     Attributes:
         episodes, frames: driven again.
-        differing_frames: frames in which image, reward, a flag or a fact differed.
-        differing_images, differing_rewards, differing_flags, differing_facts: which it was.
+        differing_frames: frames in which image, reward, an end or a value of info differed.
+        differing_images, differing_rewards, differing_ends, differing_info: which it was.
         skipped: reason -> episodes that could not be driven again.
         missing_images: frames whose image is not in the bag; their other values are compared.
         partings: the first frame of each episode that differed, in words.
@@ -55,8 +60,8 @@ class Resimulation:
     differing_frames: int = 0
     differing_images: int = 0
     differing_rewards: int = 0
-    differing_flags: int = 0
-    differing_facts: int = 0
+    differing_ends: int = 0
+    differing_info: int = 0
     missing_images: int = 0
     skipped: Counter[str] = dataclasses.field(default_factory=Counter)
     partings: list[str] = dataclasses.field(default_factory=list)
@@ -65,24 +70,45 @@ class Resimulation:
 class Resimulator:
     """Drives the frames of one bag again; `result` says what came of it."""
 
-    def __init__(self, reader: BagReader, *, namespace: str = '') -> None:
+    def __init__(
+        self, reader: BagReader, *, namespace: str = '', simulator: str | None = None,
+    ) -> None:
         """
-        Read the seeds of a bag.
+        Read how the episodes of a bag were driven.
+
+        Args:
+            reader: the bag.
+            namespace: where the topics of the car are; needed if there are several.
+            simulator: name of an installed one, or module:Class; None takes what the bag names,
+                if it is installed, for a name out of a file chooses no module.
 
         Raises:
             BagError: a damaged bag.
+            SimulatorError: there is no such simulator.
         """
         self.result = Resimulation()
         self._reader = reader
         self._namespace = namespace
-        self._simulator = _simulator_settings(reader)
+        self._given = _simulator_settings(reader)
         self._constants = _constants(reader, namespace)
-        self._frame_limit = int(
-            self._simulator.get('max_episode_frames') or _frame_limit(reader, namespace))
-        self._variant: dict[str, Any] | None = None
-        self._env: Any = None
+        name = str(simulator or self._given.get('simulator', DEFAULT))
+        try:
+            self._kind: type[Simulator] | None = find_simulator(
+                name, registered_only=simulator is None)
+        except SimulatorError:
+            if simulator is not None:
+                raise
+            self._kind = None
+        self._cannot = (
+            f'its simulator {name[:60]!r} is not installed; name it by --simulator'
+            if self._kind is None else
+            '' if self._kind.deterministic else f'simulator {name!r} is not deterministic')
+        self._frame_limit = _frame_limit(reader, namespace)
+        self._settings: Any = None
+        self._simulator: Simulator | None = None
         self._stream_at: int | None = None
         self._driving: int | None = None
+        self._steps = 0
         self._return = 0.0
         self._parted = False
         self._not_driven: set[int] = set()
@@ -97,11 +123,15 @@ class Resimulator:
         """
         for frame in recorded_frames(self._reader, namespace=self._namespace):
             number = frame.step.episode
-            if frame.step.decision == 0:
+            if number in self._not_driven:
+                continue
+            if self._cannot:
+                self._skip(number, self._cannot)
+            elif frame.step.decision == 0:
                 self._begin(frame, number)
             elif number == self._driving:
                 self._advance(frame)
-            elif number not in self._not_driven:
+            else:
                 self._skip(number, 'begun before the recording')
         return self.result
 
@@ -111,48 +141,56 @@ class Resimulator:
         self._driving = None
 
     def _begin(self, frame: RecordedFrame, number: int) -> None:
-        # those of version 0.1 stand in every step
+        # the constants of version 0.1 stand in every step
         self._prepare({**frame.step.info, **self._constants.get(number, {})})
-        seed = frame.step.seed
-        if seed >= 0:
-            pixels, _ = self._env.reset(seed=seed)
+        if frame.step.seed >= 0:
+            outcome = self._simulator.reset(frame.step.seed)
             self._stream_at = number
+        elif self._simulator.seeded:
+            outcome = self._reset_in_stream(number)
         else:
-            pixels = self._reset_in_stream(number)
+            self._skip(number, 'its simulator takes no seeds')
+            return
         self._driving = number
+        self._steps = 0
         self._return = 0.0
         self._parted = False
         self.result.episodes += 1
-        self._compare(frame, pixels, 0.0, False, False, False)
+        self._compare(frame, outcome._replace(reward=0.0, terminated=False, truncated=False))
 
-    def _prepare(self, constants: dict[str, float]) -> None:
-        """Make the environment of the variant that the constants of an episode name."""
-        variant = {
-            'zoom': constants.get('zoom', 1) > 0,
-            'domain_randomize': constants.get('domain_randomize', 0) > 0,
-            'early_end_frames': int(constants.get('early_end_frames', 0)),
-            'early_end_lap': constants.get('early_end_lap', 0) > 0}
-        if variant == self._variant:
-            return
-        # the simulator is needed for nothing else in this package
-        from carracing_sim_node import make_env
-        self._variant = variant
-        self._env = make_env(**variant, max_episode_steps=self._frame_limit)
-        self._stream_at = None
+    def _prepare(self, constants: Mapping[str, float]) -> None:
+        """Make the simulator with the settings that an episode was driven with."""
+        values: dict[str, Any] = {}
+        for name, (kind, default, _) in describe(self._kind.Settings).items():
+            if kind is not str and name in constants:
+                values[name] = kind(constants[name])
+            elif kind is not str and type(self._given.get(name)) is kind:
+                values[name] = self._given[name]
+            elif name == 'max_episode_frames':
+                values[name] = self._frame_limit
+            else:
+                values[name] = default
+        try:
+            settings = from_mapping(self._kind.Settings, values)
+            if settings != self._settings:
+                self._simulator = self._kind(settings)
+                self._settings, self._stream_at = settings, None
+        except BridgeError as error:
+            raise BagError(f'{self._reader.path}: the simulator of the bag: {error}') from None
 
-    def _reset_in_stream(self, number: int) -> np.ndarray:
-        """Reset to track `number` of the stream of tracks that the first seed began."""
+    def _reset_in_stream(self, number: int) -> Outcome:
+        """Reset to episode `number` of the stream that the first seed began."""
         if number > MAX_STREAM:
-            raise BagError(f'episode {number} of a stream of tracks; accepted: up to '
-                           f'{MAX_STREAM}')
+            raise BagError(f'episode {number} of a stream; accepted: up to {MAX_STREAM}')
+        seed = self._given.get('seed', DEFAULT_SEED)
+        if type(seed) is not int or not 0 <= seed < 2**31:
+            raise BagError(f'{self._reader.path} was driven with seed {str(seed)[:40]}')
         if self._stream_at is not None and self._stream_at < number:
-            self._env.skip_episodes(number - self._stream_at - 1)
+            self._simulator.skip(number - self._stream_at - 1, None)
         elif number:
-            self._env.skip_episodes(
-                number, seed=int(self._simulator.get('seed', DEFAULT_SEED)))
+            self._simulator.skip(number, seed)
         self._stream_at = number
-        pixels, _ = self._env.reset()
-        return pixels
+        return self._simulator.reset(None if number else seed)
 
     def _advance(self, frame: RecordedFrame) -> None:
         try:
@@ -163,64 +201,43 @@ class Resimulator:
             raise MessageError(f'step lacks {error.args[0]!r}') from None
         if command != command.clamped():
             raise MessageError(f'{command} is beyond -1 to 1')
-        action = controls(command)
-        reward, terminated, truncated, outcome = 0.0, False, False, {}
-        pixels = None
-        for count in range(frames):
-            if terminated or truncated:
-                self._part(frame, f'the recording goes on where the simulator ends (after '
-                                  f'{count} of {frames} frames)')
-                self._driving = None
-                self._not_driven.add(frame.step.episode)
-                self.result.differing_frames += 1
-                return
-            pixels, earned, terminated, truncated, outcome = self._env.step(
-                action, draw=count == frames - 1)
-            reward = earned if count == 0 else reward + earned
-        self._return += reward
-        left_field = terminated and not outcome.get('lap_finished', False)
-        self._compare(frame, pixels, reward, terminated, truncated, left_field)
-        if (terminated or truncated) and not frame.step.ended:
-            # whatever follows has nothing to be compared with
+        # whatever a bag says, no episode of a simulator is longer than this
+        outcome = self._simulator.advance(command, max(min(frames, DEFAULT_MAX_FRAMES * 50), 1))
+        if outcome.frames != frames:
+            self._part(frame, f'the recording goes on where the simulator ends (after '
+                              f'{outcome.frames} of {frames} frames)')
+            self.result.differing_frames += 1
+        self._steps += outcome.frames
+        self._return += outcome.reward
+        if outcome.frames == frames:
+            self._compare(frame, outcome)
+        if outcome.terminated or outcome.truncated:
             self._driving = None
-            self._not_driven.add(frame.step.episode)
+            if not frame.step.ended or outcome.frames != frames:
+                # whatever follows has nothing to be compared with
+                self._not_driven.add(frame.step.episode)
 
-    def _compare(
-        self, frame: RecordedFrame, pixels: np.ndarray | None, reward: float, terminated: bool,
-        truncated: bool, left_field: bool,
-    ) -> None:
-        result, step, known = self.result, frame.step, self._env.facts()
+    def _compare(self, frame: RecordedFrame, outcome: Outcome) -> None:
+        result, step = self.result, frame.step
         result.frames += 1
         differences = []
         if frame.pixels is None:
             result.missing_images += 1
-        elif pixels is None or not np.array_equal(frame.pixels, pixels):
+        elif not np.array_equal(frame.pixels, outcome.pixels):
             result.differing_images += 1
             differences.append('image')
-        if step.reward != reward:
+        if step.reward != outcome.reward:
             result.differing_rewards += 1
-            differences.append(f'reward {step.reward!r} instead of {reward!r}')
-        flags = {
-            'left_field': left_field,
-            'lap_finished': known.lap_finished and not left_field,
-            'ended_early': known.ended_early, 'came_round': known.came_round}
-        wrong = [name for name, value in flags.items()
-                 if name in step.info and step.info[name] != value]
-        wrong += ['terminated'] * (step.terminated != terminated)
-        wrong += ['truncated'] * (step.truncated != truncated)
-        wrong += ['episode_return'] * (step.episode_return != self._return)
-        result.differing_flags += bool(wrong)
-        differences += wrong
-        expected = {
-            'step': known.frames,
-            'tiles_visited': known.tiles_visited, 'tiles_total': known.tiles_total,
-            'tiles_missed': known.tiles_missed, 'lap_position': known.lap_position,
-            'wheels_off_road': known.wheels_off_road, 'speed': known.speed,
-            'standing_still': known.standing_still}
+            differences.append(f'reward {step.reward!r} instead of {outcome.reward!r}')
+        ends = [name for name in ('terminated', 'truncated')
+                if getattr(step, name) != bool(getattr(outcome, name))]
+        expected = {**outcome.info, 'step': self._steps}
         wrong = [name for name, value in expected.items()
                  if name in step.info and step.info[name] != value]
-        result.differing_facts += bool(wrong)
-        differences += wrong
+        wrong += ['episode_return'] * (step.episode_return != self._return)
+        result.differing_ends += bool(ends)
+        result.differing_info += bool(wrong)
+        differences += ends + wrong
         if differences:
             result.differing_frames += 1
             self._part(frame, ', '.join(differences))
@@ -267,6 +284,6 @@ def _simulator_settings(reader: BagReader) -> dict[str, Any]:
     """Return the simulator's settings from the provenance, empty if it has none."""
     try:
         settings = json.loads(reader.custom_data.get('simulator', '{}'))
-    except ValueError:
+    except (ValueError, RecursionError):
         return {}
     return settings if isinstance(settings, dict) else {}

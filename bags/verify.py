@@ -53,12 +53,20 @@ class Verification:
 
 def verify_bag(
     reader: BagReader, *, namespace: str = '', resimulate: bool = True,
+    simulator: str | None = None,
 ) -> Verification:
     """
     Check a bag: its files, the transitions in it, and a second drive of its actions.
 
+    Args:
+        reader: the bag.
+        namespace: where the topics of the car are; needed if there are several.
+        resimulate: whether to drive it again.
+        simulator: in what; None for what the bag names.
+
     Raises:
         BagError: a bag that cannot be read at all.
+        SimulatorError: there is no such simulator.
     """
     problems = structure_problems(reader)
     notes = order_notes(reader)
@@ -83,7 +91,8 @@ def verify_bag(
             notes += [f'{counts[name]} x {name} when joining transitions'
                       for name in UNUSUAL if counts[name]]
             if resimulate:
-                driven = Resimulator(reader, namespace=namespace).run()
+                driven = Resimulator(
+                    reader, namespace=namespace, simulator=simulator).run()
                 problems += driven.partings
                 if driven.missing_images:
                     problems.append(f'{driven.missing_images} of {driven.frames} frames that '
