@@ -208,6 +208,8 @@ class Resimulator:
                               f'{outcome.frames} of {frames} frames)')
             self.result.differing_frames += 1
         self._steps += outcome.frames
+        # a simulator may count in numbers of NumPy, whose comparisons are none of Python's
+        outcome = outcome._replace(reward=float(outcome.reward))
         self._return += outcome.reward
         if outcome.frames == frames:
             self._compare(frame, outcome)
