@@ -75,7 +75,7 @@ def test_no_module_imports_in_a_circle():
 
 
 def test_only_nodes_and_what_the_page_names_import_rclpy():
-    named = {path for path in re.findall(r'`([\w/]+\.py)`', SECTION)}
+    named = {path for path in re.findall(r'`(\w+/[\w/]+\.py)`', SECTION)}
     for path in MODULES.values():
         here = str(path.relative_to(ROOT))
         if any(name.split('.')[0] == 'rclpy' for name in imported(path)):
