@@ -9,7 +9,10 @@ import shutil
 import subprocess
 import sys
 
+from dqn_policy_node.settings import PolicySettings
+from msgs_bridge.settings import describe, from_mapping
 import pytest
+import yaml
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = (ROOT / 'docs' / 'extending.md').read_text(encoding='utf-8')
@@ -84,3 +87,12 @@ def test_adding_a_simulator_is_one_new_file_and_no_line():
     text = PAGE.split('## A simulator')[1].split('\n## ')[0]
     blocks = re.findall(r'^```python\n# (.*)$', text, re.MULTILINE)
     assert blocks == ['dot.py']
+
+
+def test_the_parameters_of_the_robot_are_those_of_the_policy():
+    text = next(text for kind, text in BLOCKS if text.startswith('# robot.yaml'))
+    values = yaml.safe_load(text)['/**']['ros__parameters']
+    known = describe(PolicySettings)
+    settings = from_mapping(PolicySettings, {
+        name: str(value) if known[name][0] is str else value for name, value in values.items()})
+    assert settings.camera_turn == '180' and settings.linear_scale == 0.8
