@@ -125,6 +125,11 @@ class AdaptiveSubscription:
         """Return whether a bell rings for messages; otherwise the executor delivers them."""
         return self._bell is not None
 
+    @property
+    def matched(self) -> int:
+        """Return how many publishers it hears: those that fit, and that have been found."""
+        return self.subscription.get_publisher_count()
+
     def take(self) -> bool:
         """Take one message, if there is one, and call the callback; for polled ones."""
         message = self._take_one()

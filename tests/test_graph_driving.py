@@ -250,10 +250,12 @@ def test_real_time_runs_by_the_wall_clock_and_lets_go_of_a_stale_twist(graph):
     assert 5 <= sum(g > 0 for g in gas) <= 20
 
 
-def test_plain_twists_drive_too(graph):
+def test_plain_twists_drive_too_whatever_the_topic_is_called(graph):
     graph.listen(topics.STEP)
-    graph.node(*POLICY, model='random', cmd_vel_stamped=False)
-    graph.node(*SIM, cmd_vel_stamped=False)
+    for (module, name), parameters in ((POLICY, {'model': 'random'}), (SIM, {})):
+        graph.start(name, [
+            *node_command(module, {'cmd_vel_stamped': False, **parameters}, graph.namespace),
+            '-r', 'cmd_vel:=wheels/twist'])
     graph.spin_until(lambda: len(graph.messages['step']) > 30, 30, 'driving')
 
 

@@ -105,7 +105,7 @@ class SimulatorNode(NodeShell):
             return
         self._timer.cancel()
         if self.settings.publish_clock:
-            if self.count_publishers(topics.CLOCK.name):
+            if self.count_publishers(self.resolve_topic_name(topics.CLOCK.name)):
                 self.get_logger().warn('another node publishes /clock: this one does not')
             else:
                 self._clock_publisher = self.publisher(topics.CLOCK)
@@ -122,7 +122,7 @@ class SimulatorNode(NodeShell):
         return (
             self._image_publisher.get_subscription_count() >= wanted + self._lockstep
             and self._step_publisher.get_subscription_count() >= wanted
-            and (not self._lockstep or self.count_publishers(topics.CMD_VEL.name) > 0)
+            and (not self._lockstep or self._cmd_vel.matched > 0)
         )
 
     def _awaited(self) -> str:
