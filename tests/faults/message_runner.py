@@ -20,6 +20,9 @@ SPEAKING_SECONDS = 1.5
 PATIENCE_SECONDS = 15.0
 """After which nobody expects it to come back any more."""
 
+STANDS = 1.0
+"""Decisions a second below which the car stands; a flood may well slow it down."""
+
 GROWTH_MIB = 200
 """By which a process may grow in one fault: what DDS keeps of a flood, and the replay."""
 
@@ -56,7 +59,7 @@ def try_message_fault(
     outcome.said = told[0] if told else ''
     if case.told and not told:
         outcome.problems.append('silent: every level stayed OK')
-    if case.drives and drove < 0.1 * rate:
+    if case.drives and drove < STANDS:
         outcome.problems.append(f'{drove:.1f} decisions/s while it lasted, {rate:.0f} before')
     outcome.problems += after_the_fault(graph, memory, logged)
     return outcome

@@ -53,6 +53,9 @@ AS_BEFORE = 0.25
 FRESH_SECONDS = 10.0
 """Age of diagnostics from which a node counts as hung; the validator is silent while it drives."""
 
+MOST_GROWTH_MIB = 500
+"""By which a process may grow over all faults of a graph."""
+
 MIB = 1 << 20
 
 
@@ -80,6 +83,7 @@ class RunningGraph(Graph):
         self.folder = folder
         self.bags = 0
         self.started: dict[str, float] = {}
+        self.at_first: dict[str, float] = {}
         self.said: dict[str, deque[Word]] = {
             role: deque(maxlen=200) for role in NODES}
         self._decisions: deque[float] = deque(maxlen=5000)
@@ -187,6 +191,7 @@ class RunningGraph(Graph):
             if dead := self.dead():
                 raise TimeoutError(dead)
             self.spin(0.05)
+        self.at_first = self.at_first or self.resident()
         return time.monotonic() - began
 
     def dead(self) -> str:
@@ -249,7 +254,11 @@ class RunningGraph(Graph):
     def end(self) -> Outcome:
         """Stop every node as Ctrl-C does and look at what is left."""
         outcome = Outcome('process', 'interrupt', 'everything', 0)
-        logged = self.logged()
+        logged, memory = self.logged(), self.resident()
+        for name, now in memory.items():
+            if now - self.at_first.get(name, now) > MOST_GROWTH_MIB and name != 'fault_node':
+                outcome.problems.append(
+                    f'{name} has grown from {self.at_first[name]:.0f} to {now:.0f} MiB')
         began = time.monotonic()
         recorder = self.children['recorder']
         self.__exit__()

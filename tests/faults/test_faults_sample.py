@@ -1,6 +1,7 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
 """A short, seeded sample of what `make faults` tries for an hour; see docs/reliability.md."""
+from pathlib import Path
 from random import Random
 
 from bag_cases import record_drive
@@ -106,3 +107,5 @@ def test_every_row_of_the_tables_names_what_there_is():
     assert {case.fault for case in tables.PROCESSES} == set(FAULTS)
     assert {case.node for case in tables.PROCESSES} == set(NODES)
     assert {case.file for case in tables.FILES} == set(FILES) == set(READERS)
+    page = (Path(__file__).parents[2] / 'docs' / 'reliability.md').read_text()
+    assert not [kind for kind in KINDS if kind not in page]
