@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 import contextlib
-import json
 import os
 import signal
 import sys
@@ -18,10 +17,12 @@ from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from bags.errors import BagError
+from bags.graph_names import NamesHidden, topic_names
 from bags.intake import Intake
 from bags.last_line import say
 from bags.live_qos import join_profiles, Kind, kinds_of, recorded_qos, request_for
 from bags.own_memory import let_go_of_freed_memory, resident_bytes
+from bags.provenance import parse_provenance
 from bags.recorded_topic import RecordedTopic
 from bags.recording import Recording
 from bags.settings import ALL, RecorderSettings, resolved_names
@@ -55,8 +56,6 @@ MOST_WAITING_BYTES = 256 << 20
 # topics whose messages are no larger than this are spared as long as that is enough
 SMALL_BYTES = 64 << 10
 LEAST_FLOOD_BYTES = 4 << 20
-# metadata.yaml holds it and has to stay readable; bytes
-MOST_PROVENANCE = 1 << 20
 
 
 class BagRecorderNode(NodeShell):
@@ -374,63 +373,22 @@ class BagRecorderNode(NodeShell):
     def _names(self) -> set[str]:
         """Return the topics of the graph; none when ROS is shutting down."""
         try:
-            return {name for name, _ in self.get_topic_names_and_types()}
-        except Exception as error:
-            # a signal may shut ROS down in the middle of any call, and calls differ in what they
-            # raise then
-            if not self.context.ok():
-                return set()
-            # a name on the wire need not be text; then rclpy says nothing of the whole graph
+            return topic_names(self)
+        except NamesHidden as error:
             self.counts['failed_looks'] += 1
             self.get_logger().warn(
                 f'the names of the graph cannot be read, only those of each node: '
                 f'{plain(str(error))}', throttle_duration_sec=LOSS_LOG_SECONDS)
-            return self._names_by_node()
-
-    def _names_by_node(self) -> set[str]:
-        """Return the topics of the nodes whose topics can be read, and those recorded already."""
-        names = set(self._intake.topics)
-        with contextlib.suppress(Exception):
-            for node, space in self.get_node_names_and_namespaces():
-                with contextlib.suppress(Exception):
-                    names.update(name for name, _ in
-                                 self.get_publisher_names_and_types_by_node(node, space))
-        return names
+            return error.names | self._intake.topics.keys()
 
     def _publishers_of(self, name: str) -> list[TopicEndpointInfo]:
         """Return the publishers of a topic; none when ROS is shutting down or refuses the name."""
         try:
             return self.get_publishers_info_by_topic(name)
         except Exception as error:
-            if self.context.ok():
+            if self.context.ok() and name not in self._intake.topics:
                 self._refuse(name, '', str(error))
             return []
-
-
-def parse_provenance(text: str) -> dict[str, str]:
-    """
-    Return the entries of a JSON object as texts; an empty text has none.
-
-    Raises:
-        BagError: not a JSON object, or one that a bag cannot hold.
-    """
-    if not text:
-        return {}
-    try:
-        values = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise BagError(f'provenance is not JSON: {error}') from None
-    if not isinstance(values, dict):
-        raise BagError('provenance is not a JSON object')
-    data = {key: value if isinstance(value, str) else json.dumps(value)
-            for key, value in values.items()}
-    try:
-        size = len(''.join((*data, *data.values())).encode())
-    except UnicodeEncodeError:
-        raise BagError('provenance holds half a surrogate pair, which is no text') from None
-    if size > MOST_PROVENANCE:
-        raise BagError(f'provenance has {size} bytes; accepted: up to {MOST_PROVENANCE}')
-    return data
 
 
 def _unused(message: object) -> None:

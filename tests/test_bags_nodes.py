@@ -388,13 +388,13 @@ def test_a_type_whose_name_is_no_text_does_not_hide_the_other_topics(graph, tmp_
     wait_for(lambda: any('cannot be read' in line for line in said(recorder)), 10, 'notice')
     words = graph.probe.create_publisher(String, 'words', 10)
     wait_for(words.get_subscription_count, 10, 'recorder')
-    words.publish(String(data='here'))
+    publish_for(1.0, (words, String(data='here')))
     wait_for(lambda: any('driving with' in line for line in said(policy)), 20, 'policy')
     time.sleep(1.5)
     assert stop(recorder) == 0
     assert policy.process.poll() is None, said(policy)
     with BagReader(tmp_path / 'bag') as reader:
-        assert reader.topics[f'/{graph.namespace}/words'].message_count == 1
+        assert reader.topics[f'/{graph.namespace}/words'].message_count > 10
 
 
 def test_each_kind_of_publisher_is_heard_and_nothing_comes_twice(graph, tmp_path):
