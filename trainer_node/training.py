@@ -18,8 +18,6 @@ import time
 from typing import Any
 import uuid
 
-import numpy as np
-
 from dqn_policy_node.model_description import ModelDescription
 from dqn_policy_node.model_folder import Model, save_model
 from dqn_policy_node.weights_message import encode_weights
@@ -31,51 +29,9 @@ from trainer_node.errors import LearningError, RunError
 from trainer_node.hyperparameters import Hyperparameters, to_yaml
 from trainer_node.learning import Learning
 from trainer_node.model_selection import ModelSelection, Moment
+from trainer_node.run_clock import RunClock
 from trainer_node.run_folder import now, RunFolder
 from trainer_node.run_record import RunRecord
-from trainer_node.saved_state import Seconds
-
-
-@dataclasses.dataclass(frozen=True)
-class ClockState:
-    """Wall seconds of a run over all its sessions."""
-
-    seconds: Seconds
-
-
-class RunClock:
-    """
-    Counts the wall seconds of a run over all its sessions.
-
-    Attributes:
-        State: what `state` returns.
-        before: seconds of the sessions before this one.
-    """
-
-    State = ClockState
-
-    def __init__(self, clock: Callable[[], float]) -> None:
-        """Start with a clock that only goes forward."""
-        self._clock = clock
-        self._started = clock()
-        self.before = 0.0
-
-    @property
-    def seconds(self) -> float:
-        """Return the seconds so far."""
-        return self.before + self._clock() - self._started
-
-    def state(self) -> ClockState:
-        """Return the seconds so far."""
-        return ClockState(self.seconds)
-
-    def arrays(self) -> dict[str, np.ndarray]:
-        """Return nothing: it has no arrays."""
-        return {}
-
-    def restore(self, state: ClockState, _: object = None) -> None:
-        """Go on from a checkpoint."""
-        self.before = state.seconds
 
 
 class Training:
