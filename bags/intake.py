@@ -40,7 +40,7 @@ LATE_QUIET_SECONDS = 0.5
 LATE_SECONDS = 0.15
 # for how long a late look matters; Fast DDS by itself has a heartbeat each 3 s
 LATE_MATTERS_SECONDS = 3.2
-STOP_SECONDS = 1.2
+STOP_SECONDS = 0.9
 # nothing is under way for so long, whatever a publisher says of its time; ns
 UNDER_WAY = 60 * 10 ** 9
 
