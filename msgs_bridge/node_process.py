@@ -16,9 +16,8 @@ import time
 import traceback
 from typing import Any
 
-from msgs_bridge.dead_segments import remove_dead_segments
 from msgs_bridge.errors import BridgeError, SettingsError
-from msgs_bridge.host_only import stay_on_this_host
+from msgs_bridge.before_rclpy import before_rclpy
 from msgs_bridge.plain_text import plain
 from msgs_bridge.settings import text_table
 from msgs_bridge.transport.time_slices import shorten_time_slices
@@ -96,8 +95,7 @@ def run_node(make_node: Callable[[], Any], args: list[str] | None = None) -> int
                 f'unknown argument {plain(foreign[0])!r}; parameters go after --ros-args, as in '
                 '--ros-args -p NAME:=VALUE; --help lists them')
         else:
-            stay_on_this_host()
-            remove_dead_segments()
+            before_rclpy()
             STARTED.arguments = arguments
             finished = _spin_to_the_end(make_node, arguments)
             code = 0 if finished else STARTED.stopped_code

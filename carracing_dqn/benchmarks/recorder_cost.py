@@ -19,7 +19,7 @@ import time
 from typing import Any
 
 from bags.reader import BagReader
-from msgs_bridge.host_only import stay_on_this_host
+from msgs_bridge.before_rclpy import before_rclpy
 from msgs_bridge.topics import STEP
 
 # seconds that a recorder has to start and to settle, or to be gone
@@ -40,7 +40,7 @@ def recorder_cost(folder: Path, *, rounds: int = 12, seconds: float = 4.0) -> di
         seconds: length of one measurement.
     """
     os.environ['ROS_DOMAIN_ID'] = str(DOMAIN)
-    stay_on_this_host()
+    before_rclpy()
     simulator = _start('carracing_sim_node.node', seed=42)
     policy = _start('dqn_policy_node.node', model='random')
     rates: dict[str, list[float]] = {'without': [], 'with': []}

@@ -12,7 +12,7 @@ from typing import Any
 from carracing_dqn.bringup.graph import KINDS
 from msgs_bridge import topics
 from msgs_bridge.errors import BridgeError, MessageError
-from msgs_bridge.host_only import stay_on_this_host
+from msgs_bridge.before_rclpy import before_rclpy
 from msgs_bridge.message_types import message_class
 from msgs_bridge.named_values import read_named_values
 from msgs_bridge.plain_text import plain
@@ -107,7 +107,7 @@ class Monitor:
         Raises:
             BridgeError: the namespace is none.
         """
-        stay_on_this_host()
+        before_rclpy()
         self.state = GraphState(absolute_namespace(namespace))
         self._context = Context()
         rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)

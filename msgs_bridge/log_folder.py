@@ -1,0 +1,45 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""A place for the logs of rcl, which starts nothing without one."""
+from __future__ import annotations
+
+import os
+from pathlib import Path
+import tempfile
+
+from msgs_bridge.errors import BridgeError
+from msgs_bridge.private_folder import make_private
+
+VARIABLE = 'ROS_LOG_DIR'
+
+
+def ensure_log_folder() -> None:
+    """
+    Set `ROS_LOG_DIR` to a temporary folder where the user has named none and has no home.
+
+    Raises:
+        BridgeError: no folder can be written.
+    """
+    named = os.environ.get(VARIABLE)
+    home = os.environ.get('ROS_HOME')
+    try:
+        _make(Path(named) if named else (Path(home) if home else Path.home() / '.ros') / 'log')
+    except (OSError, RuntimeError) as error:  # RuntimeError: the user has no home
+        if named or home:
+            raise _no_place(error) from None
+        try:
+            folder = make_private(Path(tempfile.gettempdir()) / f'ros_log_{os.getuid()}')
+        except OSError as error:
+            raise _no_place(error) from None
+        os.environ[VARIABLE] = str(folder)
+
+
+def _make(folder: Path) -> None:
+    folder = folder.expanduser()
+    folder.mkdir(parents=True, exist_ok=True)
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise PermissionError(f'{folder} is not writable')
+
+
+def _no_place(error: Exception) -> BridgeError:
+    return BridgeError(f'ROS has no place for its logs, set {VARIABLE} to one: {error}')
