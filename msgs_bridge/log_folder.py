@@ -23,7 +23,11 @@ def ensure_log_folder() -> None:
     named = os.environ.get(VARIABLE)
     home = os.environ.get('ROS_HOME')
     try:
-        _make(Path(named) if named else (Path(home) if home else Path.home() / '.ros') / 'log')
+        folder = Path(named) if named else (Path(home) if home else Path.home() / '.ros') / 'log'
+        _make(folder)
+        if not (named or home or os.environ.get('HOME')):
+            # rcl knows a home by this variable alone, Python by the list of users as well
+            os.environ[VARIABLE] = str(folder)
     except (OSError, RuntimeError) as error:  # RuntimeError: the user has no home
         if named or home:
             raise _no_place(error) from None

@@ -30,6 +30,13 @@ def test_a_home_is_left_to_rcl(environment, tmp_path):
     assert 'ROS_LOG_DIR' not in os.environ and (tmp_path / '.ros' / 'log').is_dir()
 
 
+def test_rcl_is_told_of_a_home_that_only_the_list_of_users_knows(environment, tmp_path):
+    environment.delenv('HOME')
+    environment.setattr(Path, 'home', lambda: tmp_path)
+    ensure_log_folder()
+    assert os.environ['ROS_LOG_DIR'] == str(tmp_path / '.ros' / 'log')
+
+
 def test_without_a_home_logs_go_to_a_temporary_folder_of_the_user_alone(environment, tmp_path):
     environment.setenv('HOME', NOWHERE)
     ensure_log_folder()
