@@ -14,7 +14,6 @@ import heapq
 from itertools import zip_longest
 import mmap
 from pathlib import Path
-import re
 import stat
 from typing import NamedTuple
 import zlib
@@ -25,7 +24,7 @@ from mcap.records import Channel, Schema
 from bags.compression import unpack
 from bags.errors import BagError
 from bags.mcap_records import (
-    CHUNK, HEAD, MAGIC, MAX_CHUNK, MESSAGE, parse_record, PROFILE, record_bytes,
+    CHUNK, HEAD, MAGIC, MAX_CHUNK, MESSAGE, parse_record, PROFILE,
 )
 
 # Chunks that overlap in time are merged; more than this unpacked at once is refused.
@@ -36,11 +35,6 @@ ENCODING = 'cdr'
 
 # op codes of the specification; in a damaged file any other one means that the place is wrong
 KNOWN_OPCODES = range(0x01, 0x10)
-# how a chunk of less than 4 GiB begins, up to the name of its compression
-CHUNK_BEGINS = re.compile(
-    rb'\x06.{4}\x00{4}.{28}(?:\x00{4}|\x03\x00{3}lz4|\x04\x00{3}zstd)', re.DOTALL)
-# how a short schema, channel or metadata record begins
-NAMES_BEGIN = re.compile(rb'[\x03\x04\x0c].{3}\x00{5}', re.DOTALL)
 
 
 class RawMessage(NamedTuple):
@@ -88,7 +82,7 @@ class McapFile:
         summary: where the summary begins and the footer ends, as the file is laid out.
         complete: whether the file ends as it should.
         problem: why it is not complete, in words.
-        lost_bytes: bytes that belong to nothing that is whole (if not strict).
+        whole_until: where the records that follow each other from the start end.
         damage: what was passed over because it is damaged, each a sentence (if not strict).
     """
 
@@ -98,7 +92,8 @@ class McapFile:
 
         Args:
             path: the file.
-            strict: refuse a file that is cut off or damaged; otherwise read what is whole.
+            strict: refuse a file that is cut off or damaged; otherwise read what is whole, which
+                of a file of another kind is nothing (`salvage` looks further).
 
         Raises:
             BagError: not an MCAP file, another profile, damaged or cut off (if strict).
@@ -114,7 +109,7 @@ class McapFile:
         self.summary = (0, 0)
         self.complete = False
         self.problem = ''
-        self.lost_bytes = 0
+        self.whole_until = 0
         self.damage: list[str] = []
         self._plain: list[int] = []
         self._map: mmap.mmap | None = None
@@ -281,22 +276,9 @@ class McapFile:
 
     def _scan(self, strict: bool) -> None:
         """Go through the records of the file and note where messages lie."""
-        if strict:
-            if self.size < len(MAGIC) or self._view[:len(MAGIC)] != MAGIC:
-                raise BagError(f'{self.path} is not an MCAP file')
-            self._walk(len(MAGIC), strict=True)
-            return
-        covered = [(0, self._walk(len(MAGIC), strict=False))]
-        if not self.complete or self.damage or not all(map(self._fits, self.spans)):
-            covered += self._salvage()
-        if not (self.library or self.spans or self.channels):
-            raise BagError(f'{self.path} is not an MCAP file, or nothing of it is whole')
-        end = 0
-        for start, stop in sorted([*covered, (self.size, self.size)]):
-            self.lost_bytes += max(start - end, 0)
-            end = max(end, stop)
-        if self.complete:
-            self.lost_bytes = 0
+        if strict and (self.size < len(MAGIC) or self._view[:len(MAGIC)] != MAGIC):
+            raise BagError(f'{self.path} is not an MCAP file')
+        self.whole_until = self._walk(len(MAGIC), strict=strict)
 
     def _walk(self, position: int, *, strict: bool) -> int:
         """
@@ -338,64 +320,7 @@ class McapFile:
             raise BagError(f'{self.path} is cut off: it has no header')
         return position
 
-    def _salvage(self) -> list[tuple[int, int]]:
-        """
-        Find what is whole behind damage: chunks whose CRC is right, and the names of topics.
-
-        Returns:
-            Where it lies, as (start, end).
-        """
-        chunks = {span.record: span for span in self.spans if span.crc and self._fits(span)}
-        same = {(span.start_time, span.end_time, span.crc, span.unpacked_size)
-                for span in chunks.values()}
-        found, position = [], 0
-        while match := CHUNK_BEGINS.search(self._view, position):
-            start = match.start()
-            span = chunks.get(start) or self._whole_chunk(start)
-            position = span.offset + span.length if span else start + 1
-            if span is None or start in chunks:
-                continue
-            found.append((start, position))
-            key = (span.start_time, span.end_time, span.crc, span.unpacked_size)
-            if key not in same:
-                same.add(key)
-                self.spans.append(span)
-        inside = sorted([*((span.record, span.offset + span.length) for span in chunks.values()),
-                         *found])
-        return found + self._salvage_names(inside)
-
-    def _salvage_names(self, chunks: list[tuple[int, int]]) -> list[tuple[int, int]]:
-        """Take schemas, channels and metadata that lie between chunks; return where they lie."""
-        found = []
-        bounds = [0, *(place for chunk in chunks for place in chunk), self.size]
-        for low, high in zip(bounds[::2], bounds[1::2]):
-            for match in NAMES_BEGIN.finditer(self._view, low, high):
-                opcode, length = HEAD.unpack_from(self._view, match.start())
-                start = match.start() + HEAD.size
-                content = self._view[start:start + length]
-                try:
-                    record = self._parse(opcode, content)
-                    if bytes(record_bytes(record))[HEAD.size:] != content:
-                        continue
-                except (BagError, UnicodeError):
-                    continue
-                if opcode == Opcode.METADATA:
-                    self.metadata.setdefault(record.name, record.metadata)
-                else:
-                    known = self.schemas if opcode == Opcode.SCHEMA else self.channels
-                    known.setdefault(record.id, record)
-                found.append((match.start(), start + length))
-        return found
-
-    def _whole_chunk(self, position: int) -> Span | None:
-        """Return the chunk that begins at a byte, if its CRC says that one does."""
-        try:
-            span = self._read_chunk(position + HEAD.size, self.size)
-        except BagError:
-            return None
-        return span if span.crc and self._fits(span) else None
-
-    def _fits(self, span: Span) -> bool:
+    def fits(self, span: Span) -> bool:
         """Return whether a span unpacks to what its CRC says."""
         try:
             self.span_bytes(span)
@@ -411,7 +336,7 @@ class McapFile:
             return
         self._add_plain()
         if opcode == Opcode.CHUNK:
-            self.spans.append(self._read_chunk(start, start + length))
+            self.spans.append(self.read_chunk(start, start + length))
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             self._learn(opcode, content)
         elif opcode == Opcode.METADATA:
@@ -433,8 +358,13 @@ class McapFile:
         if profile != PROFILE:
             raise BagError(f'{self.path} has profile {profile!r}; accepted: {PROFILE!r}')
 
-    def _read_chunk(self, start: int, end: int) -> Span:
-        """Return the chunk whose content begins at a byte and ends before `end`."""
+    def read_chunk(self, start: int, end: int) -> Span:
+        """
+        Return the chunk whose content begins at a byte and ends before `end`.
+
+        Raises:
+            BagError: there is none that can be one.
+        """
         view = self._view
         if end - start < CHUNK.size + 12:
             raise BagError(f'{self.path} at byte {start}: a chunk of {end - start} bytes')

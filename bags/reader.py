@@ -177,6 +177,8 @@ class McapStorage:
             for path in paths:
                 file = McapFile(path, strict=strict)
                 self.files.append(file)
+                if not (file.library or file.spans or file.channels):
+                    raise BagError(f'{path} is not an MCAP file')
                 if not file.complete:
                     problems.append(f'{path.name} is cut off: {file.problem}')
                 problems.extend(file.damage)

@@ -12,6 +12,7 @@ from bags.mcap_file import ENCODING, McapFile
 from bags.metadata import FILE_NAME
 from bags.qos_text import qos_from_text
 from bags.reader import data_files
+from bags.salvage import open_damaged
 from bags.schemas import Schema
 from bags.writer import BagWriter, PROVENANCE_RECORD, ROSBAG2_RECORD
 from bags.yaml_text import load_yaml
@@ -59,7 +60,12 @@ def recover_bag(source: Path | str, target: Path | str) -> Recovery:
     try:
         for path in paths:
             try:
-                files.append(McapFile(path, strict=False))
+                file, lost = open_damaged(path)
+                files.append(file)
+                if not file.complete:
+                    recovery.lost_bytes += lost
+                    recovery.remarks.append(
+                        f'{path.name}: {file.problem}; {lost} bytes were lost')
             except BagError as error:
                 recovery.lost_bytes += path.stat().st_size
                 recovery.remarks.append(f'{error}; nothing of it could be saved')
@@ -91,10 +97,6 @@ def _copy(files: list[McapFile], target: Path, recovery: Recovery) -> None:
 def _copy_file(
     file: McapFile, writer: BagWriter, topics: dict[tuple[str, str], int], recovery: Recovery,
 ) -> None:
-    if not file.complete:
-        recovery.lost_bytes += file.lost_bytes
-        recovery.remarks.append(
-            f'{file.path.name}: {file.problem}; {file.lost_bytes} bytes were lost')
     recovery.remarks += [f'{damage}; it was left out' for damage in file.damage]
     unnamed = 0
     for span in file.spans:
