@@ -25,7 +25,9 @@ from msgs_bridge.plain_text import plain
 from msgs_bridge.transport.arrival import Bell
 from rclpy.callback_groups import CallbackGroup
 from rclpy.event_handler import SubscriptionEventCallbacks, UnsupportedEventTypeError
-from rclpy.exceptions import InvalidHandle
+from rclpy.exceptions import (
+    InvalidHandle, InvalidParameterTypeException, ParameterException,
+)
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile
 from rclpy.qos_overriding_options import InvalidQosOverridesError, QoSOverridingOptions
@@ -36,6 +38,9 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 OVERRIDES = QoSOverridingOptions([
     QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY,
     QoSPolicyKind.DURABILITY])
+# what rclpy raises for a value that an override cannot have
+OVERRIDE_ERRORS = (InvalidQosOverridesError, ParameterException, InvalidParameterTypeException,
+                   RuntimeError, ValueError, AttributeError)
 # After losses and so much silence a reader may have gone deaf. It need not have, and then a new
 # one costs what arrives within milliseconds; so it is tried once after each loss.
 DEAF_SECONDS = 1.0
@@ -115,7 +120,7 @@ class AdaptiveSubscription:
         try:
             # the profile itself is changed by the parameters
             self.subscription = self._make(overrides=OVERRIDES)
-        except (InvalidQosOverridesError, RuntimeError, ValueError) as error:
+        except OVERRIDE_ERRORS as error:
             raise SettingsError(f'qos_overrides.{self.name}: {plain(error)}') from None
         self._latched = self.qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
         self._depth = self.qos.depth

@@ -11,7 +11,9 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from msgs_bridge import topics
-from msgs_bridge.adaptive_subscription import AdaptiveSubscription, OVERRIDES, PolledGroup
+from msgs_bridge.adaptive_subscription import (
+    AdaptiveSubscription, OVERRIDE_ERRORS, OVERRIDES, PolledGroup,
+)
 from msgs_bridge.errors import MessageError, SettingsError
 from msgs_bridge.matching import deaf_subscriptions, subscriptions_of, type_name_of
 from msgs_bridge.message_types import message_class
@@ -27,7 +29,6 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
-from rclpy.qos_overriding_options import InvalidQosOverridesError
 from rclpy.timer import Timer
 from std_srvs.srv import SetBool
 
@@ -127,7 +128,7 @@ class NodeShell(Node):
             publisher = self.create_publisher(
                 message_class(type_name or topic.type_name), topic.name, qos_profile(topic),
                 qos_overriding_options=OVERRIDES)
-        except (InvalidQosOverridesError, RuntimeError, ValueError) as error:
+        except OVERRIDE_ERRORS as error:
             raise SettingsError(f'qos_overrides of {topic.name}: {plain(error)}') from None
         self._topic_publishers.append((topic, publisher))
         return publisher

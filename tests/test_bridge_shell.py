@@ -122,11 +122,13 @@ def test_qos_overrides_are_those_of_rclpy(pair):
     assert node.images.qos.reliability == BEST_EFFORT
 
 
-def test_an_override_that_there_is_not_is_refused_in_a_line(pair):
-    with pytest.raises(SettingsError, match='qos_overrides.*reliability.*perhaps'):
-        pair.start(
-            Listener,
-            '-p', f'qos_overrides.{pair.space}/image_raw.subscription.reliability:=perhaps')
+@pytest.mark.parametrize('override', [
+    'image_raw.subscription.reliability:=perhaps', 'image_raw.subscription.depth:=many',
+    'image_raw.subscription.depth:=-3', 'cmd_vel.publisher.history:=some',
+    'cmd_vel.publisher.reliability:=2'])
+def test_an_override_that_there_is_not_is_refused_in_a_line(pair, override):
+    with pytest.raises(SettingsError, match='qos_overrides'):
+        pair.start(Listener, '-p', f'qos_overrides.{pair.space}/{override}')
 
 
 def test_what_does_not_fit_is_named_on_both_sides(pair):
