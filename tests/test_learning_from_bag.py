@@ -159,3 +159,20 @@ def test_a_typo_is_one_line_and_leaves_no_folder(bag, words, error, tmp_path):
     assert result.stderr.startswith('error: ') and error in result.stderr
     assert result.stderr.count('\n') == 1
     assert not run.exists()
+
+
+def test_a_disk_without_room_is_one_line_and_the_checkpoint_before_is_kept(bag, preset, tmp_path):
+    learn([bag], tmp_path / 'run', preset, run_decisions=1000)
+    run = RunFolder(tmp_path / 'run')
+    kept = run.checkpoint.read_bytes()
+    other = record_drive(tmp_path / 'other', episodes=2, decisions=30, drive_with=discrete)
+    # no file may become longer than 1 KiB, which says what a full disk says: not a byte more
+    result = subprocess.run(
+        ['bash', '-c', 'ulimit -f 1; exec "$@"', 'bash', sys.executable, '-m',
+         'carracing_dqn.bringup', 'train', '--resume', str(run.path), '--from-bag', str(other)],
+        capture_output=True, text=True, timeout=120)
+    assert result.returncode == 2, result.stderr
+    assert 'Traceback' not in result.stderr
+    assert result.stderr.splitlines()[-1].startswith(f'error: {run.path}')
+    assert 'cannot be written: File too large' in result.stderr
+    assert run.checkpoint.read_bytes() == kept

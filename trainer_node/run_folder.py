@@ -89,8 +89,18 @@ class RunFolder:
         return record
 
     def write_record(self, record: dict[str, Any]) -> None:
-        """Write `run.json`."""
-        write_text(self.record, json.dumps(record, indent=1) + '\n')
+        """Write `run.json`; raises RunError."""
+        self._write(self.record, json.dumps(record, indent=1) + '\n')
+
+    def write_config(self, text: str) -> None:
+        """Write `config.yaml`; raises RunError."""
+        self._write(self.config, text)
+
+    def _write(self, path: Path, text: str) -> None:
+        try:
+            write_text(path, text)
+        except OSError as error:
+            raise RunError(f'{path} cannot be written: {error.strerror}') from None
 
 
 def now() -> str:

@@ -3,6 +3,7 @@
 """What a run writes down: CSV files, and TensorBoard's event files on request."""
 from __future__ import annotations
 
+import contextlib
 import csv
 import io
 import os
@@ -58,7 +59,7 @@ class CsvFile:
                 raise RunError(f'{path}: expected the columns {", ".join(columns)}')
 
     def write(self, values: dict[str, Any]) -> None:
-        """Append a row; a column without a value stays empty."""
+        """Append a row; a column without a value stays empty; raises RunError."""
         self._append([_cell(values.get(column)) for column in self.columns])
 
     def position(self) -> int:
@@ -80,12 +81,17 @@ class CsvFile:
         self._file.truncate(position)
 
     def close(self) -> None:
-        """Close the file."""
-        self._file.close()
+        """Close the file; what could not be written has been told."""
+        with contextlib.suppress(OSError):
+            self._file.close()
 
     def _append(self, cells: Any) -> None:
-        self._file.write(_row(cells))
-        self._file.flush()
+        """Write a row; raises RunError."""
+        try:
+            self._file.write(_row(cells))
+            self._file.flush()
+        except OSError as error:
+            raise RunError(f'{self.path} cannot be written: {error.strerror}') from None
 
 
 def _row(cells: Any) -> bytes:

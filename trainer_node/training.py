@@ -21,7 +21,6 @@ import uuid
 from dqn_policy_node.model_description import ModelDescription
 from dqn_policy_node.model_folder import Model, save_model
 from dqn_policy_node.weights_message import encode_weights
-from msgs_bridge.atomic_write import write_text
 from msgs_bridge.machine import describe_machine
 from msgs_bridge.transitions import Transition
 from trainer_node.checkpoint import Checkpoint, Part, refuse_differences
@@ -89,7 +88,7 @@ class Training:
         folder.create()
         folder.remove_leftovers()
         training = cls(settings, folder, device=device, tensorboard=tensorboard, clock=clock)
-        write_text(folder.config, to_yaml(settings))
+        folder.write_config(to_yaml(settings))
         training._begin_session({
             'started': now(), 'seeds': {
                 'training': settings.seed, 'validation': settings.validation_seed}})
@@ -130,7 +129,7 @@ class Training:
         training._saved_seconds = training.wall_seconds
         training._begin_session(folder.read_record())
         if settings != saved.settings:
-            write_text(folder.config, to_yaml(settings))
+            folder.write_config(to_yaml(settings))
         return training
 
     @property
@@ -145,11 +144,7 @@ class Training:
         self._write_run()
 
     def _write_run(self) -> None:
-        try:
-            self._record.write_run(seconds=self.wall_seconds, complete=self.complete)
-        except OSError as error:
-            raise RunError(
-                f'{self.folder.record} cannot be written: {error.strerror}') from None
+        self._record.write_run(seconds=self.wall_seconds, complete=self.complete)
 
     @property
     def description(self) -> ModelDescription:
