@@ -105,10 +105,14 @@ def check_value(name: str, kind: type, description: Description, value: Any) -> 
     return value
 
 
+# the nearest name is told even when it is not near: it shows what names look like
+FAR = 0.3
+
+
 def unknown_setting(name: object, known: Iterable[str]) -> str:
     """Return what is said of a name that is no setting, with the nearest one that is."""
     # a text of megabytes is like no setting, and comparing it takes for ever
-    nearest = difflib.get_close_matches(str(name)[:LENGTH], list(known), n=1)
+    nearest = difflib.get_close_matches(str(name)[:LENGTH], list(known), n=1, cutoff=FAR)
     hint = f'; did you mean {nearest[0]!r}?' if nearest else ''
     return f'unknown setting {_shown(name)}{hint}'
 
