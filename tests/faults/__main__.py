@@ -137,8 +137,9 @@ def main() -> int:
     parser.add_argument('--output', type=Path, default=None, help='new folder')
     parser.add_argument('--only', choices=tuple(SHARES), default=None, help='one table alone')
     arguments = parser.parse_args()
-    # whoever starts this in the background of a script has it ignore Ctrl-C, and all it starts
+    # in the background of a script and below nohup these are ignored, and by all that is started
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
     os.environ.setdefault('ROS_DOMAIN_ID', '77')
     os.environ['OMP_NUM_THREADS'] = '1'
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'

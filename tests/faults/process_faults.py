@@ -71,7 +71,7 @@ FAULTS = {
     'interrupt': (_send(signal.SIGINT), ASKED),
     'stop and continue': (_stopped, ()),
     # what is open stays open, and nothing more can be opened
-    'few descriptors': (_limited(resource.RLIMIT_NOFILE, _open_files), ()),
+    'few descriptors': (_limited(resource.RLIMIT_NOFILE, _open_files), GAVE_UP),
     # no file may grow: writing fails as it does on a full disk (EFBIG instead of ENOSPC)
     'out of disk': (_limited(resource.RLIMIT_FSIZE, lambda _: 0), GAVE_UP),
 }

@@ -122,7 +122,7 @@ class RunningGraph(Graph):
         for name in (*published, topics.DIAGNOSTICS.name):
             command += ['-r', f'{name}:={name}{UPSTREAM}']
         self.started[role] = time.monotonic()
-        self.start(role, command)
+        self.start(role, command, keeps=role in ('trainer', 'recorder'))
 
     def _on_health(self, message: object) -> None:
         for status in message.status:

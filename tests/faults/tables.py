@@ -77,7 +77,9 @@ PROCESSES = [
     *[ProcessCase(fault, node) for node in NODES
       for fault in ('kill', 'terminate', 'hang up', 'interrupt')],
     *[ProcessCase('stop and continue', node, NO) for node in NODES],
-    *[ProcessCase('few descriptors', node, NO) for node in NODES],
+    *[ProcessCase('few descriptors', node, NO) for node in NODES if node != 'trainer'],
+    # who cannot write a checkpoint any more says so and stops, rather than to learn in vain
+    ProcessCase('few descriptors', 'trainer', EITHER, YES),
     ProcessCase('out of disk', 'recorder', YES),
     ProcessCase('out of disk', 'trainer', EITHER, YES),
     ProcessCase('out of disk', 'simulator', NO),
