@@ -147,9 +147,12 @@ def main() -> int:
     folder = arguments.output or Path('runs') / time.strftime('faults-%Y%m%d-%H%M%S')
     trial = Trial(folder, arguments.seed)
     shares = {arguments.only: 1.0} if arguments.only else SHARES
-    for group, share in shares.items():
-        trial.run_group(group, 60 * arguments.minutes * share)
-    sys.stdout.write((trial.folder / 'faults.md').read_text())
+    try:
+        for group, share in shares.items():
+            trial.run_group(group, 60 * arguments.minutes * share)
+    except KeyboardInterrupt:
+        trial.end_graph()
+    sys.stdout.write(report.summary(trial.outcomes))
     return 0 if all(one.survived for one in trial.outcomes) else 1
 
 

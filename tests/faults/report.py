@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import dataclasses
 import json
 from pathlib import Path
+import statistics
 
 from faults.outcome import Outcome
 
@@ -38,6 +39,25 @@ def markdown(outcomes: Sequence[Outcome]) -> str:
     return '\n'.join(parts)
 
 
+def summary(outcomes: Sequence[Outcome]) -> str:
+    """Return one table of all faults, wherever they were, and a line for each not survived."""
+    rows = defaultdict(list)
+    for outcome in outcomes:
+        rows[list(GROUPS).index(outcome.group), outcome.fault].append(outcome)
+    lines = ['| fault of | kind | tried | survived | median, s | longest, s |',
+             '|---|---|---:|---:|---:|---:|']
+    for (group, fault), tried in sorted(rows.items()):
+        seconds = [one.seconds for one in tried if one.seconds is not None] or [float('nan')]
+        lines.append(
+            f'| {list(GROUPS)[group]} | {fault} | {len(tried)} | '
+            f'{sum(one.survived for one in tried)} | {statistics.median(seconds):.1f} | '
+            f'{max(seconds):.1f} |')
+    lines.append('')
+    lines += [f'- {one.fault}, {one.where}: {"; ".join(one.problems)[:SHOWN]}'
+              for one in outcomes if not one.survived]
+    return '\n'.join(lines) + '\n'
+
+
 def _row(item: tuple[tuple[str, str], list[Outcome]]) -> str:
     (fault, where), tried = item
     seconds = [one.seconds for one in tried if one.seconds is not None]
@@ -49,6 +69,6 @@ def _row(item: tuple[tuple[str, str], list[Outcome]]) -> str:
 
 def write(outcomes: Sequence[Outcome], folder: Path, head: str) -> None:
     """Write `faults.md` and `faults.json`; the latter has the seed of every single one."""
-    (folder / 'faults.md').write_text(f'{head}\n\n{markdown(outcomes)}')
+    (folder / 'faults.md').write_text(f'{head}\n\n{summary(outcomes)}\n{markdown(outcomes)}')
     (folder / 'faults.json').write_text(json.dumps(
         [dataclasses.asdict(outcome) for outcome in outcomes], indent=1))
