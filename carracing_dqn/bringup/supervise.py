@@ -23,7 +23,7 @@ FIRST_LOOK_SECONDS = 1.0
 UNHEARD_SECONDS = 20.0
 """How long nodes may run without one of them being heard: discovery takes 0.1 to 6 s."""
 
-MIN_FILES = 32
+MIN_FILES = 64
 """File descriptors with which a graph was seen to drive; some of DDS' sockets need one each."""
 
 
