@@ -1,0 +1,185 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""Nodes as children: how they start, how each kind of end is told, and who waits for whom."""
+import importlib
+import os
+from pathlib import Path
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+
+from carracing_dqn.bringup.graph import driving_graph, KINDS, replay_graph, training_graph
+from carracing_dqn.bringup.processes import ChildDied, node_command, ProcessGroup
+from graph_probe import wait_for
+from msgs_bridge.errors import BridgeError
+from msgs_bridge.node_process import STOPPED
+from msgs_bridge.settings import describe
+import pytest
+from trainer_node.hyperparameters import Hyperparameters
+
+
+@pytest.fixture
+def group(tmp_path, monkeypatch):
+    """Processes whose modules lie in a folder of the test."""
+    monkeypatch.setenv('PYTHONPATH', str(tmp_path))
+    (tmp_path / 'log').mkdir()
+    with ProcessGroup(tmp_path / 'log') as group:
+        yield group
+
+
+def start(group, name, code, *, keeps=False, words=(), **options):
+    """Start a module that holds a `main` of some lines."""
+    body = textwrap.indent(textwrap.dedent(code).strip(), '    ')
+    path = group.log_folder.parent / f'{name}.py'
+    path.write_text(f'import os, signal, sys, time\ndef main():\n{body}\n')
+    command = node_command(name, {}, **{'supervised': True, **options})
+    return group.start(name, [*command, *words], keeps=keeps)
+
+
+def waits(graph):
+    return {node.kind.role: node.parameters.get('wait_for_subscribers') for node in graph}
+
+
+def test_simulator_and_policy_wait_for_everybody_who_must_miss_nothing():
+    assert waits(driving_graph(model='racing', seed=1)) == {'policy': 1, 'simulator': 0}
+    assert waits(driving_graph(model='racing', seed=1, bag='bag')) == {
+        'recorder': None, 'policy': 2, 'simulator': 1}
+    settings = Hyperparameters()
+    assert waits(training_graph(settings, trainer={})) == {
+        'trainer': None, 'policy': 2, 'validator': None, 'simulator': 1}
+    assert waits(training_graph(settings, trainer={}, bag='bag')) == {
+        'recorder': None, 'trainer': None, 'policy': 3, 'validator': None, 'simulator': 2}
+    assert [node.kind.name for node in replay_graph(bag='x')] == ['bag_player_node']
+
+
+def test_graphs_name_parameters_that_the_nodes_know():
+    graphs = [driving_graph(model='racing', seed=1, bag='bag'), replay_graph(bag='bag'),
+              training_graph(Hyperparameters(), trainer={'run': 'x', 'preset': 'y'})]
+    seen = set()
+    for node in sum(graphs, ()):
+        module, name = node.kind.settings.split(':')
+        settings = getattr(importlib.import_module(module), name)
+        known = describe(settings if isinstance(settings, type) else settings())
+        assert node.parameters.keys() <= known.keys(), node.kind.name
+        seen.add(node.kind)
+    assert seen == {*KINDS}
+
+
+def test_a_child_is_nice_in_its_folder_and_ends_with_its_parent(tmp_path):
+    (tmp_path / 'sleeper.py').write_text(
+        'import os, time\ndef main():\n'
+        '    print(os.getpid(), os.nice(0), os.getcwd(), flush=True)\n    time.sleep(60)\n')
+    parent = (
+        'import subprocess, sys, time\n'
+        'from carracing_dqn.bringup.processes import node_command\n'
+        "subprocess.Popen(node_command('sleeper', {}, nice=3, folder='/'))\ntime.sleep(60)\n")
+    process = subprocess.Popen(
+        [sys.executable, '-c', parent], stdout=subprocess.PIPE, text=True,
+        env={**os.environ, 'PYTHONPATH': str(tmp_path)})
+    pid, nice, folder = process.stdout.readline().split()
+    assert int(nice) == os.nice(0) + 3 and folder == '/'
+    process.kill()
+    process.wait()
+    wait_for(lambda: not Path(f'/proc/{pid}').exists()
+             or ') Z ' in Path(f'/proc/{pid}/stat').read_text(), 10, 'the end of the child')
+
+
+def test_finished_work_is_code_0_and_anything_else_is_told_with_its_cause(group):
+    start(group, 'done', 'return 0')
+    wait_for(lambda: group.check() == 'done', 20, 'the end')
+    start(group, 'failing', "print('error: the disk is full'); print('bye'); return 2")
+    with pytest.raises(ChildDied, match='failing ended with exit code 2: the disk is full .log: '):
+        wait_for(lambda: group.check() == 'failing', 20, 'the end')
+
+
+def test_a_child_that_was_stopped_from_outside_has_not_finished(group):
+    child = start(group, 'stopped', f'time.sleep(0.2); return {STOPPED}')
+    child.process.wait(20)
+    with pytest.raises(ChildDied, match='stopped was stopped from outside before the work'):
+        group.check()
+
+
+def test_a_traceback_is_told_by_its_last_line_without_escapes(group):
+    child = start(group, 'odd', "raise ValueError('\\x1b[31m' + 'x' * 5000)")
+    child.process.wait(20)
+    with pytest.raises(ChildDied, match='odd ended with exit code 1: ValueError: ') as found:
+        group.check()
+    assert str(found.value).isprintable() and len(str(found.value)) < 600
+
+
+def test_a_folder_that_is_gone_and_a_log_that_cannot_be_had_are_told(group, tmp_path):
+    start(group, 'sleeping', 'time.sleep(60)')
+    (tmp_path / 'log' / 'sleeping.log').unlink()
+    (tmp_path / 'log').rmdir()
+    with pytest.raises(BridgeError, match='was removed while it was written to'):
+        group.check()
+    with pytest.raises(BridgeError, match='late cannot be started'):
+        start(group, 'late', 'pass')
+
+
+def test_a_full_disk_does_not_stand_in_the_way_of_a_child(group, monkeypatch):
+    (group.log_folder / 'loud.log').symlink_to('/dev/full')
+    child = start(group, 'loud', "for _ in range(20000): print('x' * 100)\nreturn 0")
+    assert child.process.wait(30) == 0
+
+
+def test_those_that_save_have_time_and_others_are_killed_without_a_word(group):
+    stubborn = start(group, 'stubborn', """
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        print('up', flush=True)
+        time.sleep(60)""")
+    saving = start(group, 'saving', f"""
+        def save(*_):
+            time.sleep(4)
+            print('saved', flush=True)
+            sys.exit({STOPPED})
+        signal.signal(signal.SIGINT, save)
+        print('up', flush=True)
+        time.sleep(60)""", keeps=True)
+    wait_for(lambda: stubborn.said('up') and saving.said('up'), 20, 'both')
+    group.stop()
+    group.check_ends()
+    assert stubborn.code == -signal.SIGKILL and saving.code == STOPPED and saving.said('saved')
+
+
+def test_a_child_that_could_not_save_is_told_after_the_stop(group):
+    child = start(group, 'recorder', """
+        def fail(*_):
+            print('error: the bag could not be completed', flush=True)
+            sys.exit(2)
+        signal.signal(signal.SIGINT, fail)
+        print('up', flush=True)
+        time.sleep(60)""", keeps=True)
+    wait_for(lambda: child.said('up'), 20, 'it')
+    group.stop()
+    with pytest.raises(ChildDied, match='exit code 2: the bag could not be completed'):
+        group.check_ends()
+
+
+def test_a_child_that_is_stopped_while_it_imports_says_nothing(group):
+    path = group.log_folder.parent / 'slow.py'
+    path.write_text('print("importing", flush=True)\nimport time\ntime.sleep(60)\n'
+                    'def main(): pass\n')
+    child = group.start('slow', node_command('slow', {}, supervised=True))
+    wait_for(lambda: child.said('importing'), 20, 'it')
+    began = time.monotonic()
+    group.stop()
+    group.check_ends()
+    assert time.monotonic() - began < 10
+    assert list(child.words) == ['importing']
+
+
+def test_signals_wait_until_all_are_stopped(group):
+    child = start(group, 'slow_to_end', f"""
+        def end(*_):
+            time.sleep(1)
+            sys.exit({STOPPED})
+        signal.signal(signal.SIGINT, end)
+        print('up', flush=True)
+        time.sleep(60)""", keeps=True)
+    wait_for(lambda: child.said('up'), 20, 'it')
+    subprocess.Popen(['sh', '-c', f'sleep 0.3; kill -INT {os.getpid()}'])
+    group.stop()
+    assert child.code == STOPPED
