@@ -123,7 +123,14 @@ def _show_verification(found: Any) -> None:
     if driven is not None:
         write(f'driven again: {driven.episodes} episodes, {driven.frames} frames, '
               f'{driven.differing_frames} differ\n')
-    write(f'{found.messages} messages: {"good" if found.good else "NOT good"}\n')
+    compared = driven.frames - driven.missing_images if driven is not None else 0
+    if not found.good:
+        verdict = 'NOT good'
+    elif compared:
+        verdict = f'good, {compared} frames compared'
+    else:
+        verdict = 'whole, nothing was compared with a drive'
+    write(f'{found.messages} messages: {verdict}\n')
 
 
 def _recover(arguments: argparse.Namespace) -> int:

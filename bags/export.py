@@ -23,6 +23,8 @@ FRAME_RATE = 50
 PAUSE = 25
 CODEC = 'libx264'
 MAX_SCALE = 20
+# rows of a picture in the video
+MAX_SIDE = 2160
 
 
 def export_csv(
@@ -89,6 +91,8 @@ def export_video(
     # the encoder is needed for nothing else in this package
     import av
 
+    if Path(path).suffix.lower() != '.mp4':
+        raise BagError(f'{path}: a video is written as .mp4')
     _refuse_existing(path)
     if not 1 <= scale <= MAX_SCALE:
         raise BagError(f'scale is {scale}; accepted: 1 to {MAX_SCALE}')
@@ -105,6 +109,9 @@ def export_video(
         for frame in _chosen(reader, namespace, episode):
             if painter is None:
                 side = 96 if frame.pixels is None else frame.pixels.shape[0]
+                if side * scale > MAX_SIDE:
+                    raise BagError(f'a frame of {side} rows, {scale} times as large; accepted: '
+                                   f'up to {MAX_SIDE}')
                 painter = FramePainter(side, scale)
                 stream.width, stream.height = painter.width, painter.height
             # the last frame of an episode leads to no decision

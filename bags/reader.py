@@ -53,7 +53,7 @@ class BagReader:
         if self.storage == 'sqlite3':
             # its library is not needed for anything else
             from bags.sqlite_storage import SqliteStorage
-            self._storage: Storage = SqliteStorage(self.path)
+            self._storage: Storage = SqliteStorage(self.path, self.files)
         else:
             self._storage = McapStorage(self.files, strict=strict, problems=self.problems)
         self.topics = self._storage.topics
@@ -113,6 +113,12 @@ class BagReader:
         if not self.path.exists():
             raise BagError(f'{self.path} does not exist')
         if not self.path.is_dir():
+            # a FIFO or a device would never end
+            if not self.path.is_file():
+                raise BagError(f'{self.path} is not a regular file')
+            if self.path.suffix in ('.zstd', '.zst', '.lz4'):
+                raise BagError(f'{self.path} is compressed as a whole; unpack it with '
+                               '`ros2 bag convert`')
             return [self.path]
         if not strict and not (self.path / FILE_NAME).exists():
             self.problems.append(f'there is no {FILE_NAME}')
@@ -134,7 +140,8 @@ class BagReader:
         files = [self.path / file.path for file in self.metadata.files]
         for file in files:
             if not file.is_file():
-                raise BagError(f'{self.path}/{FILE_NAME} names {file.name}, which is not there')
+                raise BagError(f'{self.path}/{FILE_NAME} names {file.name}, which is not there '
+                               'as a regular file')
         return files
 
     def _compare(self) -> None:

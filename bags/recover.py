@@ -54,7 +54,7 @@ def recover_bag(source: Path | str, target: Path | str) -> Recovery:
         raise BagError(f'{source} does not exist')
     paths = data_files(source) if source.is_dir() else [source]
     if not paths:
-        raise BagError(f'{source} holds no .mcap file')
+        raise BagError(f'{source} holds no .mcap file; others cannot be recovered here')
     recovery = Recovery()
     files = []
     try:

@@ -14,6 +14,7 @@ from collections import Counter
 from collections.abc import Mapping
 import dataclasses
 import json
+import math
 from typing import Any
 
 import numpy as np
@@ -162,7 +163,7 @@ class Resimulator:
         """Make the simulator with the settings that an episode was driven with."""
         values: dict[str, Any] = {}
         for name, (kind, default, _) in describe(self._kind.Settings).items():
-            if kind is not str and name in constants:
+            if kind is not str and math.isfinite(constants.get(name, math.nan)):
                 values[name] = kind(constants[name])
             elif kind is not str and type(self._given.get(name)) is kind:
                 values[name] = self._given[name]

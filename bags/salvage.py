@@ -17,6 +17,10 @@ CHUNK_BEGINS = re.compile(
     rb'\x06.{4}\x00{4}.{28}(?:\x00{4}|\x03\x00{3}lz4|\x04\x00{3}zstd)', re.DOTALL)
 # how a short schema, channel or metadata record begins
 NAMES_BEGIN = re.compile(rb'[\x03\x04\x0c].{3}\x00{5}', re.DOTALL)
+# bytes looked at in vain for each byte of the file: one made of such beginnings ends, too
+EFFORT = 20
+# a few seconds, which no file by accident needs
+LEAST_EFFORT = 4 << 30
 
 
 def open_damaged(path: Path | str) -> tuple[McapFile, int]:
@@ -50,10 +54,13 @@ def _salvage(file: McapFile) -> list[tuple[int, int]]:
     """Add to a file what is whole behind damage; return where it lies, as (start, end)."""
     chunks = {span.record: span for span in file.spans if span.crc and file.fits(span)}
     known = set(map(_content, chunks.values()))
-    found, position = [], 0
+    found, position, effort = [], 0, EFFORT * file.size + LEAST_EFFORT
     while match := CHUNK_BEGINS.search(file.raw(0, file.size), position):
         start = match.start()
-        span = chunks.get(start) or _whole_chunk(file, start)
+        span = chunks.get(start)
+        if span is None and effort > 0:
+            span, cost = _whole_chunk(file, start)
+            effort -= cost
         position = span.offset + span.length if span else start + 1
         if span is None or start in chunks:
             continue
@@ -70,13 +77,15 @@ def _content(span: Span) -> tuple[int, ...]:
     return span.start_time, span.end_time, span.crc, span.unpacked_size
 
 
-def _whole_chunk(file: McapFile, position: int) -> Span | None:
-    """Return the chunk that begins at a byte, if its CRC says that one does."""
+def _whole_chunk(file: McapFile, position: int) -> tuple[Span | None, int]:
+    """Return the chunk that begins at a byte, if its CRC says so, and the bytes looked at."""
     try:
         span = file.read_chunk(position + HEAD.size, file.size)
     except BagError:
-        return None
-    return span if span.crc and file.fits(span) else None
+        return None, 0
+    if span.crc and file.fits(span):
+        return span, 0
+    return None, span.length + span.unpacked_size
 
 
 def _names_between(
@@ -84,12 +93,18 @@ def _names_between(
 ) -> list[tuple[int, int]]:
     """Take schemas, channels and metadata that lie between chunks; return where they lie."""
     found = []
+    effort = EFFORT * file.size + LEAST_EFFORT
     bounds = [0, *(place for chunk in chunks for place in chunk), file.size]
     for low, high in zip(bounds[::2], bounds[1::2]):
         for match in NAMES_BEGIN.finditer(file.raw(0, file.size), low, high):
             head = match.start()
             opcode, length = HEAD.unpack(file.raw(head, head + HEAD.size))
             end = head + HEAD.size + length
+            if end > file.size:
+                continue
+            effort -= length
+            if effort < 0:
+                return found
             content = file.raw(head + HEAD.size, end)
             try:
                 record = parse_record(opcode, content)

@@ -3,9 +3,12 @@
 """sqlite3 bags, as rosbag2 wrote them before MCAP, read by the `rosbags` library."""
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
+import contextlib
 from pathlib import Path
+import sqlite3
 from typing import Any
+from urllib.parse import quote
 
 from rosbags.rosbag2 import Reader
 from rosbags.rosbag2.metadata import dump_qos_v9
@@ -14,19 +17,20 @@ from bags.errors import BagError
 from bags.qos_text import normalize_qos
 from bags.messages import BagMessage, BagTopic
 from bags.schemas import Schema, schema_of
+from msgs_bridge.plain_text import plain
 
 
 class SqliteStorage:
     """A sqlite3 bag; it holds no publish times, so log times stand for them."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, files: Sequence[Path]) -> None:
         """
-        Open the bag.
+        Open a bag of one or more files.
 
         Raises:
             BagError: the library cannot read it.
         """
-        self._reader = _guard(path, lambda: _opened(path))
+        self._reader = _guard(path, lambda: _opened(path, files))
         self.provenance: dict[str, str] = {}
         self.files: tuple[()] = ()
         self.path = path
@@ -64,15 +68,41 @@ class SqliteStorage:
         self._reader.close()
 
 
-def _opened(path: Path) -> Reader:
+def _opened(path: Path, files: Sequence[Path]) -> Reader:
+    for file in files:
+        _refuse_programs(file)
     reader = Reader(path)
     reader.open()
     return reader
 
 
+def _refuse_programs(path: Path) -> None:
+    """
+    Refuse what computes when it is read: a view in place of a table may never end.
+
+    Raises:
+        BagError: the file has something other than plain tables and indexes.
+    """
+    if not path.is_file():
+        raise BagError(f'{path} is not a regular file')
+    address = f'file:{quote(str(path.resolve()))}?immutable=1&mode=ro'
+    with contextlib.closing(sqlite3.connect(address, uri=True)) as base:
+        names = []
+        for kind, name, text in base.execute('SELECT type, name, sql FROM sqlite_master'):
+            if kind not in ('table', 'index') or str(text).upper().startswith('CREATE VIRTUAL'):
+                raise BagError(f'{path} has the {kind} {plain(name)}; accepted: plain tables')
+            names += [name] if kind == 'table' else []
+        for name in names:
+            hidden = base.execute('SELECT 1 FROM pragma_table_xinfo(?) WHERE hidden', (name,))
+            if hidden.fetchone():
+                raise BagError(f'{path}: the table {plain(name)} has computed columns')
+
+
 def _guard(path: Path, act: Callable[[], Any]) -> Any:
     try:
         return act()
+    except BagError:
+        raise
     except Exception as error:
         # the library lets through whatever sqlite3, zstd or its own parsing raise
         raise BagError(f'{path}: {error}') from None

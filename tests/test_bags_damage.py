@@ -460,3 +460,14 @@ def test_a_fifo_in_a_bag_is_no_bag(small, tmp_path, name):
     os.mkfifo(folder / name)
     with pytest.raises(BagError, match='not a regular file|is not there'):
         BagReader(folder)
+
+
+def test_a_file_made_of_beginnings_ends(tmp_path):
+    record = HEAD.pack(Opcode.CHUNK, 0) + bytes(8) + b'\xff' * 8 + bytes(3) + b'\1' + bytes(4)
+    record += b'\1\2\3\4' + bytes(4) + bytes(8)
+    names = HEAD.pack(Opcode.SCHEMA, 100_000)
+    path = tmp_path / 'beginnings.mcap'
+    for piece in (record, names):
+        path.write_bytes(MAGIC + piece * 20_000)
+        with pytest.raises(BagError, match='nothing of it is whole'):
+            recover_bag(path, tmp_path / 'saved')
