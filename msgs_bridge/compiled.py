@@ -4,9 +4,10 @@
 Compiles inner loops over images and tracks with Numba, and keeps the result where that is safe.
 
 What Numba keeps on disk is a pickle of machine code: whoever can write it runs code in every node.
-So it is kept in a folder of the user's in which nobody else can write (`NUMBA_CACHE_DIR` or
-`carracing_dqn` in the user's cache folder), each file with its hash, and never beside the sources.
-Without such a folder, or where a file is damaged, the loops are compiled anew.
+So it is kept in a folder of the user's in which nobody else can write (`NUMBA_CACHE_DIR`,
+`carracing_dqn` in the user's cache folder, or else in a temporary one), each file with its hash,
+and never beside the sources. Without such a folder, or where a file is damaged, the loops are
+compiled anew.
 """
 from __future__ import annotations
 
@@ -20,7 +21,7 @@ from pathlib import Path
 from typing import Any
 import warnings
 
-from msgs_bridge.private_folder import make_private, user_cache_folder
+from msgs_bridge.private_folder import make_private, make_temporary, user_cache_folder
 from numba import njit
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
 
@@ -45,7 +46,11 @@ def cache_folder() -> Path | None:
     given = os.environ.get('NUMBA_CACHE_DIR')
     try:
         return make_private(Path(given) if given else user_cache_folder() / 'carracing_dqn')
-    except (OSError, RuntimeError) as error:  # RuntimeError: the user has no home
+    except (OSError, RuntimeError):  # RuntimeError: the user has no home
+        pass
+    try:
+        return make_temporary('carracing_dqn')
+    except OSError as error:
         warnings.warn(
             f'compiled loops are not kept, so that every start takes some seconds more: {error}',
             RuntimeWarning, stacklevel=2)

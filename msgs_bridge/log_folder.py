@@ -5,10 +5,9 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-import tempfile
 
 from msgs_bridge.errors import BridgeError
-from msgs_bridge.private_folder import make_private
+from msgs_bridge.private_folder import make_temporary
 
 VARIABLE = 'ROS_LOG_DIR'
 
@@ -32,7 +31,7 @@ def ensure_log_folder() -> None:
         if named or home:
             raise _no_place(error) from None
         try:
-            folder = make_private(Path(tempfile.gettempdir()) / f'ros_log_{os.getuid()}')
+            folder = make_temporary('ros_log')
         except OSError as error:
             raise _no_place(error) from None
         os.environ[VARIABLE] = str(folder)

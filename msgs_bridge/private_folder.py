@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 import stat
+import tempfile
 
 WRITABLE_BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
 
@@ -34,6 +35,21 @@ def make_private(folder: Path) -> Path:
     if not os.access(folder, os.W_OK | os.X_OK):
         raise PermissionError(f'{folder} is not writable')
     return folder
+
+
+def make_temporary(name: str) -> Path:
+    """
+    Make a private folder among the temporary ones, for a user without a home.
+
+    Raises:
+        OSError: it cannot be made, or somebody else has made it.
+    """
+    folder = Path(tempfile.gettempdir()) / f'{name}_{os.getuid()}'
+    folder.mkdir(mode=0o700, exist_ok=True)
+    status = folder.lstat()
+    if not stat.S_ISDIR(status.st_mode) or status.st_uid != os.getuid():
+        raise PermissionError(f'{folder} is a link or belongs to another user')
+    return make_private(folder)
 
 
 def _check(folder: Path, status: os.stat_result, *, sticky_counts: bool) -> None:

@@ -36,7 +36,9 @@ def place(tmp_path, monkeypatch):
     """Return the user's cache folder, made private whatever the umask."""
     monkeypatch.delenv('NUMBA_CACHE_DIR', raising=False)
     monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path / 'cache'))
-    (tmp_path / 'cache').mkdir(mode=0o700)
+    for name in ('cache', 'temporary'):
+        (tmp_path / name).mkdir(mode=0o700)
+    monkeypatch.setattr('tempfile.tempdir', str(tmp_path / 'temporary'))
     (tmp_path / 'loops.py').write_text(SOURCE)
     yield tmp_path / 'cache' / 'carracing_dqn'
     cache_folder.cache_clear()
@@ -132,12 +134,20 @@ def test_nothing_is_read_where_others_can_write(place, tmp_path, spoil):
     for path in kept(place):
         path.write_bytes(content + hashlib.sha256(content).digest())
     spoil(place)
-    with pytest.warns(RuntimeWarning, match='compiled loops are not kept'):
-        assert not start(tmp_path)
+    # a folder of the user alone among the temporary ones takes its place
+    assert [start(tmp_path), start(tmp_path)] == [False, True]
     assert not code_ran(place)
 
 
-def test_a_user_without_a_home_compiles_every_time(place, tmp_path, monkeypatch):
+@pytest.mark.parametrize('planted', ['link', 'writable'])
+def test_a_user_without_any_place_compiles_every_time(place, tmp_path, monkeypatch, planted):
+    folder = tmp_path / 'temporary' / f'carracing_dqn_{os.getuid()}'
+    (tmp_path / 'own').mkdir(mode=0o700)
+    if planted == 'link':
+        folder.symlink_to(tmp_path / 'own')
+    else:
+        folder.mkdir()
+        folder.chmod(0o777)
     monkeypatch.delenv('XDG_CACHE_HOME')
     for home in ('/dev/null/home', '/proc'):
         monkeypatch.setenv('HOME', home)

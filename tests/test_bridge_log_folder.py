@@ -45,7 +45,7 @@ def test_without_a_home_logs_go_to_a_temporary_folder_of_the_user_alone(environm
     ensure_log_folder()
     folder.chmod(0o777)
     environment.delenv('ROS_LOG_DIR')
-    with pytest.raises(BridgeError, match='set ROS_LOG_DIR to one: .* is writable by others'):
+    with pytest.raises(BridgeError, match='set ROS_LOG_DIR to one: .* writable by others'):
         ensure_log_folder()
 
 
