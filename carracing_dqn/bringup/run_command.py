@@ -18,7 +18,7 @@ from msgs_bridge.errors import BridgeError
 from rich.console import Console
 from rich.table import Table
 
-TABLE_FRAME = 6
+TABLE_FRAME = 8
 """Lines of the terminal that are no laps: title, header, frame, sum, prompt."""
 
 

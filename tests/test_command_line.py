@@ -1,0 +1,165 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""The command in one process: help, wrong input, and errors of the system, each in a line."""
+import errno
+import io
+import re
+import sys
+
+from carracing_dqn.bringup import command
+from carracing_dqn.bringup.command import main
+from carracing_dqn.bringup.display import Display
+from carracing_dqn.bringup.monitor import GraphState
+from carracing_dqn.bringup.run_command import laps_line, laps_table
+from carracing_dqn.bringup.training_display import training_line, training_table
+from carracing_dqn.bringup.graph import POLICY, SIMULATOR, TRAINER
+from dqn_policy_node import load_policy
+from msgs_bridge.settings import describe
+from msgs_bridge.step import EPISODE_CORE, VALIDATION_FIELDS
+import pytest
+from rich.console import Console
+from trainer_node.hyperparameters import Hyperparameters
+
+
+@pytest.fixture(autouse=True)
+def own_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(command, 'stop_on_signals', lambda: None)
+
+
+@pytest.mark.parametrize(('words', 'told'), [
+    (['rnu'], "invalid choice: 'rnu'"),
+    (['run', '--lapz', '3'], 'unrecognized arguments: --lapz 3'),
+    (['run', '--laps', 'x'], "invalid int value: 'x'"),
+    (['run', '--laps', '-1'], '--laps is -1'),
+    (['run', '--seed', '-1'], '--seed is -1'),
+    (['run', '--namespace', '[/x]'], "--namespace is '[/x]'"),
+    (['run', '--model', 'a\x1b[31m'], 'the shipped, which are racing, report'),
+    (['run', '--model', '../models/racing'], 'neither a folder with model.json'),
+    (['train', '--minutes', '0'], '--minutes is 0'),
+    (['train', '--minutes', '-1'], '--minutes is -1'),
+    (['train', '--minutes', 'nan'], '--minutes is nan'),
+    (['train', '--set', 'network=foo'], 'carracing train --list prints every name'),
+    (['train', '--set', 'gamma=2'], 'gamma is 2.0; accepted: 0 to 1; carracing train --list'),
+    (['train', '--set', 'gama=0.9'], "did you mean 'gamma'"),
+    (['train', '--resume', 'x', '--preset', 'racing'], '--resume goes on in its own folder'),
+    (['train', '--bag', '--from-bag', 'x'], '--bag records a graph'),
+    (['train', '--from-bag', 'nowhere'], 'nowhere'),
+    (['evaluate', '--model', 'racing', '--policy', 'random'], 'only one can drive'),
+    (['evaluate', '--episodes', '-1'], '--episodes is -1'),
+    (['report', 'nowhere'], 'nowhere'),
+    (['bag'], 'required'),
+    (['bench', 'nothing'], "invalid choice: 'nothing'"),
+])
+def test_wrong_input_is_one_line_and_leaves_nothing(words, told, capsys, tmp_path):
+    assert main(words) == 2
+    said = capsys.readouterr()
+    assert said.err.startswith('error: ') and told in said.err and said.err.count('\n') == 1
+    assert said.err.rstrip('\n').isprintable() and not said.out
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_tensorboard_is_missed_before_anything_is_made(capsys, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, 'tensorboard', None)
+    monkeypatch.setattr('importlib.util.find_spec', lambda name: None)
+    assert main(['train', '--tensorboard']) == 2
+    assert 'pip install tensorboard' in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_without_words_there_is_help(capsys):
+    assert main([]) == 0
+    said = capsys.readouterr().out
+    assert all(f'\n    {name} ' in said for name in command.SUBCOMMANDS)
+
+
+def test_the_list_has_every_hyperparameter_with_what_it_accepts(capsys):
+    assert main(['train', '--list', '--preset', 'report', '--set', 'gamma=0.5']) == 0
+    lines = capsys.readouterr().out.splitlines()
+    listed = {match[1]: match[2] for match in map(
+        re.compile(r'(\w+)=.*  \((.*)\)$').match, lines) if match}
+    known = describe(Hyperparameters)
+    assert list(listed) == list(known)
+    assert 'gamma=0.5  (0 to 1)' in lines and listed['double'] == 'true or false'
+
+
+@pytest.mark.parametrize(('error', 'code', 'told'), [
+    (OSError(errno.ENOSPC, 'No space left on device', 'runs/x'),
+     2, 'error: runs/x: No space left on device\n'),
+    (PermissionError(errno.EACCES, 'Permission denied'), 2, 'error: Permission denied\n'),
+    (MemoryError(), 2, 'error: the memory does not suffice\n'),
+    (ModuleNotFoundError("No module named 'rclpy'", name='rclpy'), 2, "'rclpy' is not installed"),
+    (KeyboardInterrupt(), 130, ''),
+])
+def test_what_the_system_refuses_is_one_line(monkeypatch, capsys, error, code, told):
+    def fail(_):
+        raise error
+
+    monkeypatch.setattr(command, '_run', fail)
+    assert main(['run']) == code
+    said = capsys.readouterr().err
+    assert told in said and said.count('\n') == bool(told)
+
+
+def test_a_module_of_ours_that_is_missing_is_a_fault_and_shows_where(monkeypatch):
+    def fail(_):
+        raise ModuleNotFoundError("No module named 'bags.x'", name='bags.x')
+
+    monkeypatch.setattr(command, '_run', fail)
+    with pytest.raises(ModuleNotFoundError):
+        main(['run'])
+
+
+def test_a_shipped_model_is_found_by_its_name():
+    assert load_policy('racing').description.action_space.names
+
+
+HOSTILE = '[/x][red]\x1b]52;c;aGk=\x07:boom:'
+
+
+def state_of(**values):
+    state = GraphState()
+    for kind in (SIMULATOR, POLICY, TRAINER):
+        state.health[f'/{kind.name}'] = {'summary': HOSTILE, **values}
+    return state
+
+
+def shown(width, height, *, terminal, state, table, line):
+    text = io.StringIO()
+    console = Console(file=text, width=width, height=height, force_terminal=terminal,
+                      color_system=None, legacy_windows=False)
+    display = Display(state, table, line, console)
+    with display:
+        for _ in range(3):
+            display.update()
+    display.say(f'output {HOSTILE}')
+    display.finish()
+    return text.getvalue()
+
+
+def test_what_others_say_is_shown_as_it_is_and_said_once(monkeypatch):
+    monkeypatch.setattr('carracing_dqn.bringup.display.LINE_SECONDS', 0.0)
+    for line, table in ((laps_line, laps_table), (training_line, training_table)):
+        said = shown(80, 24, terminal=False, state=state_of(), table=table, line=line)
+        assert said.count('[/x][red]') == 2 and '\x1b' not in said and ':boom:' in said
+
+
+def test_tables_fit_into_a_small_terminal():
+    state = state_of(wall_seconds='61', progress='0.5', weights_version='3', epsilon='1')
+    state.health[f'/{POLICY.name}']['weights_version'] = '4'
+    for number in range(40):
+        state.ended += 1
+        state.episodes.append({**dict.fromkeys(EPISODE_CORE, 1.0), 'seed': float(number)})
+        state.validations.append(dict.fromkeys(VALIDATION_FIELDS, 1000.0))
+    for table in (laps_table, training_table):
+        text = io.StringIO()
+        Console(file=text, width=80, height=24).print(table(state, 24))
+        lines = text.getvalue().splitlines()
+        assert len(lines) < 24 and max(map(len, lines)) <= 80
+        assert '…' not in text.getvalue()
+    assert re.search(r'weight age \(versions\) *│ *0 ', text.getvalue())
+
+
+def test_a_line_before_the_first_episode_claims_no_return():
+    line = training_line(state_of(wall_seconds='60', episodes='0', decisions='7'))
+    assert line.startswith('1.0 min, no episode yet, 7 decisions') and 'return' not in line
