@@ -21,7 +21,6 @@ from rclpy.subscription import Subscription
 AWAKE_SECONDS = 250e-6
 
 
-
 def _functions() -> tuple[Any, int] | None:
     """
     Return rcl's function that sets a callback and the address of eventfd_write.
