@@ -101,6 +101,13 @@ def test_a_child_that_was_stopped_from_outside_has_not_finished(group):
         group.check()
 
 
+def test_what_was_said_before_a_signal_is_no_cause(group):
+    child = start(group, 'shot', "print('all is well', flush=True); os.kill(os.getpid(), 9)")
+    child.process.wait(20)
+    with pytest.raises(ChildDied, match='^shot ended with signal SIGKILL .log: '):
+        group.check()
+
+
 def test_a_traceback_is_told_by_its_last_line_without_escapes(group):
     child = start(group, 'odd', "raise ValueError('\\x1b[31m' + 'x' * 5000)")
     child.process.wait(20)

@@ -146,11 +146,12 @@ class Child:
         if code == STOPPED:
             return f'{self.name} was stopped from outside before the work was done'
         ended = f'signal {signal.Signals(-code).name}' if code < 0 else f'exit code {code}'
-        said = [line for line in self.words if line.strip()]
-        # a node that gives up says why in such a line; a traceback has the reason in its last
-        reasons = [line for line in said if line.startswith('error: ')] or said
-        reason = plain(reasons[-1].removeprefix('error: '), MAX_REASON) if reasons else 'no word'
-        return f'{self.name} ended with {ended}: {reason} (log: {self.log})'
+        # a node that gives up says why in such a line; a traceback has the reason in its last,
+        # and what was said before a signal has nothing to do with it
+        reasons = [line for line in self.words if line.startswith('error: ')]
+        reasons = reasons or [line for line in self.words if line.strip() and code > 0]
+        reason = f': {plain(reasons[-1].removeprefix("error: "), MAX_REASON)}' if reasons else ''
+        return f'{self.name} ended with {ended}{reason} (log: {self.log})'
 
 
 class ProcessGroup:
