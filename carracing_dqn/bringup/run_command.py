@@ -69,8 +69,12 @@ def main(arguments: argparse.Namespace) -> int:
         display.say(f'bag: {bag}  (look: carracing bag info {bag})')
         if not interrupted:
             from carracing_dqn.bringup.run_pictures import draw_recorded_laps
-            for picture in draw_recorded_laps(bag, folder / 'pictures'):
-                display.say(f'picture: {picture}')
+            try:
+                for picture in draw_recorded_laps(bag, folder / 'pictures'):
+                    display.say(f'picture: {picture}')
+            except BridgeError as error:
+                # the drive was good, and the bag is there
+                display.say(f'no pictures: {error}')
     return 130 if interrupted else 0
 
 
