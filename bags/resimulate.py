@@ -92,7 +92,9 @@ class Resimulator:
         self._namespace = namespace
         self._given = _simulator_settings(reader)
         self._constants = _constants(reader, namespace)
-        name = str(simulator or self._given.get('simulator', DEFAULT))
+        named = simulator or self._given.get('simulator')
+        name = str(named or DEFAULT)
+        self._named = named is not None
         try:
             self._kind: type[Simulator] | None = find_simulator(
                 name, registered_only=simulator is None)
@@ -143,7 +145,12 @@ class Resimulator:
 
     def _begin(self, frame: RecordedFrame, number: int) -> None:
         # the constants of version 0.1 stand in every step
-        self._prepare({**frame.step.info, **self._constants.get(number, {})})
+        constants = self._constants.get(number, {})
+        self._prepare({**frame.step.info, **constants})
+        if not self._named and 'contract_version' in constants and (
+                not self._simulator.constants.keys() <= constants.keys()):
+            self._skip(number, 'the bag names no simulator; name it by --simulator')
+            return
         if frame.step.seed >= 0:
             outcome = self._simulator.reset(frame.step.seed)
             self._stream_at = number

@@ -14,6 +14,9 @@ STEP_INFO = {
     'wheels_off_road': 'share of the wheels that touch no road tile, 0 to 1',
     'speed': 'speed over ground in units of the physics per second (about m/s)',
     'standing_still': 'simulated frames (1/50 s) in a row the car has stood still',
+    'steer': 'what CarRacing made of the command: steering, -1 (left) to 1 (right)',
+    'gas': 'gas, 0 to 1',
+    'brake': 'brake, 0 to 1',
 }
 
 CONSTANTS = {

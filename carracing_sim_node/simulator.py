@@ -5,13 +5,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from carracing_sim_node.controls import controls, FRAME_SECONDS
+from carracing_sim_node.controls import Controls, controls, FRAME_SECONDS
 from carracing_sim_node.environment import CarRacingEnvironment
 from carracing_sim_node.info_fields import CONSTANTS
 from carracing_sim_node.settings import CarRacingSettings
 from carracing_sim_node.simulation import Simulation
 from msgs_bridge.simulator import Outcome, Simulator
 from msgs_bridge.twists import Command
+
+RELEASED = Controls(0.0, 0.0, 0.0)
 
 
 class CarRacing(Simulator):
@@ -44,13 +46,15 @@ class CarRacing(Simulator):
     def reset(self, seed: int | None) -> Outcome:
         """Begin an episode on the track of a seed, or on the next one of the stream."""
         pixels, _ = self.env.reset(seed=seed)
-        return Outcome(pixels, info=self._info(False))
+        return Outcome(pixels, info=self._info(False, RELEASED))
 
     def advance(self, command: Command, frames: int = 1, *, draw: bool = True) -> Outcome:
         """Hold a command for up to some frames of 1/50 s."""
+        pressed = controls(command)
         pixels, reward, terminated, truncated, passed = self.env.advance(
-            controls(command), frames, draw=draw)
-        return Outcome(pixels, reward, terminated, truncated, self._info(terminated), passed)
+            pressed, frames, draw=draw)
+        return Outcome(
+            pixels, reward, terminated, truncated, self._info(terminated, pressed), passed)
 
     def skip(self, episodes: int, seed: int | None) -> None:
         """Go past some tracks, without cars or drawing."""
@@ -60,7 +64,7 @@ class CarRacing(Simulator):
         """Let go of the environment."""
         self.env.close()
 
-    def _info(self, terminated: bool) -> Mapping[str, float]:
+    def _info(self, terminated: bool, pressed: Controls) -> Mapping[str, float]:
         """Return the values of `info_fields.STEP_INFO`."""
         known = self.env.facts()
         return {
@@ -75,4 +79,7 @@ class CarRacing(Simulator):
             'wheels_off_road': known.wheels_off_road,
             'speed': known.speed,
             'standing_still': known.standing_still,
+            'steer': pressed.steer,
+            'gas': pressed.gas,
+            'brake': pressed.brake,
         }

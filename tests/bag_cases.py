@@ -99,6 +99,7 @@ def record_drive(
     drive_with: Callable = scripted,
     namespace: str = '',
     settings: dict | None = None,
+    named: bool = True,
     **options: object,
 ) -> Path:
     """
@@ -106,13 +107,18 @@ def record_drive(
 
     `falsify` may be given to change the values of a `step`, to such as no simulator has.
 
-    The first `skip_first` frames are driven but not recorded.
+    The first `skip_first` frames are driven but not recorded. Without `named` the bag says nothing
+    of how its simulator was set.
     """
     values = {'seed': 5, 'seed_each_episode': True, 'max_episode_frames': decisions,
               **(settings or {})}
+    if 'simulator' in values:
+        # a setting of CarRacing
+        del values['max_episode_frames']
     drive = open_drive(values)
     recorder = DriveRecorder(
-        folder, namespace=namespace, provenance={'simulator': values}, **options)
+        folder, namespace=namespace, provenance={'simulator': values} if named else None,
+        **options)
     number = 0
     for _ in range(episodes):
         frame = drive.begin()

@@ -24,11 +24,13 @@ from bags.writer import BagWriter
 from carracing_sim_node import make_env
 from carracing_sim_node.controls import controls
 from msgs_bridge.step import STEP_CORE
+from msgs_bridge.errors import SimulatorError
 from msgs_bridge.step import read_step
 from msgs_bridge.topics import CMD_VEL, IMAGE, STEP
 from msgs_bridge.twists import Command
 import numpy as np
 import pytest
+import toy_simulator
 
 
 @pytest.fixture(scope='module')
@@ -137,6 +139,38 @@ def test_variants_are_driven_again_exactly(tmp_path, settings):
     found = verified(record_drive(tmp_path / 'bag', episodes=3, settings=settings))
     assert found.good, found.problems
     assert found.resimulation.episodes == 3
+
+
+TOY = 'toy_simulator:Toy'
+
+
+class Undetermined(toy_simulator.Toy):
+    deterministic = False
+
+
+def test_a_bag_of_any_simulator_is_driven_again_where_that_can_be(tmp_path):
+    bag = record_drive(tmp_path / 'bag', settings={'simulator': TOY, 'action_repeat': 4})
+    driven = verified(bag, simulator=TOY).resimulation
+    assert (driven.episodes, driven.differing_frames) == (2, 0) and driven.frames > 10
+    # a name out of a bag imports nothing, and no other simulator is taken for it
+    for options, told in (
+            ({}, "its simulator 'toy_simulator:Toy' is not installed"),
+            ({'simulator': f'{__name__}:Undetermined'}, 'is not deterministic')):
+        found = verified(bag, **options)
+        assert found.good and found.resimulation.frames == 0
+        assert any(told in note for note in found.notes), found.notes
+    unnamed = record_drive(tmp_path / 'unnamed', settings={'simulator': TOY}, named=False)
+    found = verified(unnamed)
+    assert found.good and found.resimulation.frames == 0
+    assert any('the bag names no simulator' in note for note in found.notes)
+    assert verified(unnamed, simulator=TOY).resimulation.differing_frames == 0
+    with pytest.raises(SimulatorError, match='accepted'):
+        verified(bag, simulator='slow')
+
+
+def test_a_bag_of_carracing_need_not_name_it(tmp_path):
+    found = verified(record_drive(tmp_path / 'bag', named=False))
+    assert found.good and found.resimulation.frames == 82
 
 
 def test_an_episode_that_began_before_the_recording_is_passed_over(tmp_path):
