@@ -24,6 +24,8 @@ CODES = (0, 1, 2, 130)
 LONGEST_LINE = 500
 """Characters that a line may have."""
 
+MOST_BYTES = 6 << 30
+
 # torch's optimizers import _dynamo, which takes seconds
 PRELOADED = (
     'torch._dynamo', 'faults.command_process', 'carracing_dqn.bringup.command', 'bags.command',
@@ -82,6 +84,8 @@ def _child(words: tuple[str, ...], folder: str, output: str) -> None:
         os.dup2(file, number)
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     os.chdir(folder)
+    # what reads without end must not take the machine with it
+    resource.setrlimit(resource.RLIMIT_DATA, (MOST_BYTES, MOST_BYTES))
     faulthandler.enable()
     from carracing_dqn.bringup.command import main
     sys.argv = ['carracing', *words]
