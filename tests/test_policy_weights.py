@@ -158,7 +158,7 @@ def test_what_never_ends_is_not_read(folder, name, make):
 def test_a_missing_folder_is_one_line(tmp_path):
     with pytest.raises(ModelError, match='no such file'):
         load_model(tmp_path / 'nothing')
-    with pytest.raises(ModelError, match="no model folder 'nothing-like-it'"):
+    with pytest.raises(ModelError, match="no model 'nothing-like-it'"):
         find_model('nothing-like-it')
     with pytest.raises(FileNotFoundError, match='is in none of'):
         share_path('config/none.yaml')

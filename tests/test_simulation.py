@@ -93,7 +93,7 @@ def test_a_simulator_brings_its_settings():
         settings_for(f'{__name__}:Clashing')
     with pytest.raises(SettingsError, match="did you mean 'hue'"):
         make_simulator(f'{__name__}:Hued', {'hew': 0.1})
-    with pytest.raises(SettingsError, match='must be a str'):
+    with pytest.raises(SettingsError, match='must be a text'):
         node_settings({'simulator': 5})
 
 
