@@ -7,7 +7,7 @@ import dataclasses
 
 from bags.topic_lookup import find_topic
 from bags.reader import BagReader
-from bags.steps import StepDecoder
+from bags.steps import decode_step
 from msgs_bridge.topics import STEP
 
 
@@ -50,12 +50,11 @@ def find_episodes(reader: BagReader, *, namespace: str = '') -> list[Episode]:
     name = find_topic(reader, STEP, namespace=namespace)
     if name is None:
         return []
-    decoder = StepDecoder()
     episodes: list[Episode] = []
     present: Episode | None = None
     from_start = False
     for message in reader.messages([name]):
-        _, step = decoder.decode(message.data, name)
+        _, step = decode_step(message.data, name)
         if present is None or step.episode != present.number or (
                 step.decision == 0 and present.decisions > 0):
             present = Episode(step.episode, step.seed, message.log_time)

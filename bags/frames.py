@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from bags.topic_lookup import find_topic, need_topic
-from bags.decode import Bundle, BundleDecoder, ImageDecoder
+from bags.decode import decode_bundle, decode_image
 from bags.reader import BagReader
-from bags.steps import StepDecoder
+from bags.steps import decode_step
 from msgs_bridge.errors import MessageError
 from msgs_bridge.step import Step
 from msgs_bridge.topics import IMAGE, Q_VALUES, STEP
@@ -49,10 +49,9 @@ def recorded_frames(reader: BagReader, *, namespace: str = '') -> Iterator[Recor
     steps = need_topic(reader, STEP, namespace=namespace)
     images = _images(reader, need_topic(reader, IMAGE, namespace=namespace))
     q_values = _q_values(reader, find_topic(reader, Q_VALUES, namespace=namespace))
-    decoder = StepDecoder()
     newest = -1
     for number, message in enumerate(reader.messages([steps])):
-        stamp, step = decoder.decode(message.data, steps)
+        stamp, step = decode_step(message.data, steps)
         if stamp == newest:
             continue
         if stamp < newest:
@@ -79,15 +78,12 @@ class _Stream:
 
 
 def _images(reader: BagReader, name: str) -> _Stream:
-    decoder = ImageDecoder()
-    return _Stream(decoder.decode(message.data, name) for message in reader.messages([name]))
+    return _Stream(decode_image(message.data, name) for message in reader.messages([name]))
 
 
 def _q_values(reader: BagReader, name: str | None) -> _Stream:
-    decoder = BundleDecoder()
-
     def values() -> Iterator[tuple[int, dict[str, float]]]:
         for message in reader.messages([name]) if name else ():
-            bundle: Bundle = decoder.decode(message.data, name)
+            bundle = decode_bundle(message.data, name)
             yield bundle.stamp, bundle.values_with()
     return _Stream(values())

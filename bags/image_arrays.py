@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from bags.topic_lookup import need_topic
-from bags.decode import ImageDecoder
+from bags.decode import decode_image
 from bags.errors import BagError
 from bags.reader import BagReader
 from msgs_bridge.topics import IMAGE
@@ -36,9 +36,8 @@ def bag_images(
     type_name = reader.topics[name].type_name
     if type_name != IMAGE.type_name:
         raise BagError(f'{name} is of type {type_name}; expected {IMAGE.type_name}')
-    decoder = ImageDecoder()
     for message in messages:
-        yield decoder.decode(message.data, name)
+        yield decode_image(message.data, name)
 
 
 def load_images(

@@ -15,7 +15,7 @@ from bags.mcap_file import McapFile, RawMessage, Span
 from bags.mcap_records import FOOTER_BYTES, HEAD, LIBRARY, MAGIC, MESSAGE_HEAD
 from bags.metadata import BagMetadata, metadata_from_text, ROOT
 from bags.reader import BagReader
-from bags.yaml_text import dump_yaml, load_yaml
+from msgs_bridge.yaml_text import dump_yaml, load_yaml
 
 # bytes that a CRC is taken of at a time
 PIECE = 64 << 20
@@ -149,7 +149,7 @@ def _metadata_problems(reader: BagReader) -> list[str]:
         return []
     text = files[-1].metadata.get('rosbag2', {}).get('serialized_metadata', '')
     try:
-        body = load_yaml(text, 'the rosbag2 record')
+        body = load_yaml(text, 'the rosbag2 record', BagError)
         copy = metadata_from_text(dump_yaml({ROOT: body}), 'the rosbag2 record')
     except BagError as error:
         return [str(error)]

@@ -8,10 +8,8 @@ The file is mapped into memory; messages are views into the map, or into an unpa
 from __future__ import annotations
 
 from collections.abc import Container, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
 import dataclasses
 import heapq
-from itertools import zip_longest
 import mmap
 from pathlib import Path
 import stat
@@ -180,11 +178,7 @@ class McapFile:
         Raises:
             BagError: it is damaged.
         """
-        return self._parse_messages(span, self.span_bytes(span, check=check), channels)
-
-    def _parse_messages(
-        self, span: Span, data: memoryview, channels: Container[int] | None,
-    ) -> list[RawMessage]:
+        data = self.span_bytes(span, check=check)
         messages = []
         add = messages.append
         position, end = 0, len(data)
@@ -226,29 +220,22 @@ class McapFile:
             key=lambda span: (span.start_time, span.offset))
         pending: list[tuple[int, int, int, Iterator[RawMessage], RawMessage]] = []
         held: dict[int, int] = {}
-        # unpacking and CRC leave the interpreter to others: the next span is unpacked meanwhile
-        with ThreadPoolExecutor(1, thread_name_prefix='unpack') as pool:
-            ahead: Future[memoryview] | None = None
-            for number, (span, next_span) in enumerate(zip_longest(spans, spans[1:])):
-                # everything before this span begins can go out, one span at a time
-                yield from self._drain(pending, held, span.start_time)
-                held[number] = span.unpacked_size
-                if sum(held.values()) > MAX_UNPACKED:
-                    raise BagError(f'{self.path}: chunks of more than {MAX_UNPACKED} bytes '
-                                   'overlap in time')
-                data = ahead.result() if ahead else self.span_bytes(span)
-                ahead = None
-                if next_span and sum(held.values()) + next_span.unpacked_size <= MAX_UNPACKED:
-                    ahead = pool.submit(self.span_bytes, next_span)
-                inside = [message for message in self._parse_messages(span, data, channels)
-                          if start <= message.log_time < stop]
-                inside.sort(key=_log_time)
-                following = iter(inside)
-                first = next(following, None)
-                if first is None:
-                    del held[number]
-                else:
-                    heapq.heappush(pending, (first.log_time, number, 0, following, first))
+        for number, span in enumerate(spans):
+            # everything before this span begins can go out, one span at a time
+            yield from self._drain(pending, held, span.start_time)
+            held[number] = span.unpacked_size
+            if sum(held.values()) > MAX_UNPACKED:
+                raise BagError(f'{self.path}: chunks of more than {MAX_UNPACKED} bytes '
+                               'overlap in time')
+            inside = [message for message in self.span_messages(span, channels)
+                      if start <= message.log_time < stop]
+            inside.sort(key=_log_time)
+            following = iter(inside)
+            first = next(following, None)
+            if first is None:
+                del held[number]
+            else:
+                heapq.heappush(pending, (first.log_time, number, 0, following, first))
         yield from self._drain(pending, held, 2 ** 64)
 
     @staticmethod
@@ -319,14 +306,6 @@ class McapFile:
         if begin == position == len(MAGIC) and strict:
             raise BagError(f'{self.path} is cut off: it has no header')
         return position
-
-    def fits(self, span: Span) -> bool:
-        """Return whether a span unpacks to what its CRC says."""
-        try:
-            self.span_bytes(span)
-        except BagError:
-            return False
-        return True
 
     def _take(self, opcode: int, position: int, start: int, length: int) -> None:
         """Take what is worth knowing of one record."""

@@ -13,10 +13,9 @@ from typing import Any
 
 from bags.errors import BagError
 from bags.qos_text import normalize_qos, qos_from_text
-from bags.yaml_text import dump_yaml, load_yaml, MAX_TEXT
-
 from msgs_bridge.atomic_write import write_text
 from msgs_bridge.regular_file import read_regular
+from msgs_bridge.yaml_text import dump_yaml, load_yaml, MAX_TEXT
 
 FILE_NAME = 'metadata.yaml'
 VERSION = 9
@@ -137,7 +136,7 @@ def metadata_from_text(text: str, what: str) -> BagMetadata:
     Raises:
         BagError: not YAML, or not what rosbag2 writes.
     """
-    content = load_yaml(text, what)
+    content = load_yaml(text, what, BagError)
     try:
         return _from_body(content[ROOT], what)
     except KeyError as error:

@@ -10,22 +10,15 @@ from __future__ import annotations
 
 from typing import Any
 
+from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
+
 from bags.errors import BagError
-from bags.yaml_text import dump_yaml, load_yaml
+from msgs_bridge.yaml_text import dump_yaml, load_yaml
 
 INFINITE = {'sec': 9223372036, 'nsec': 854775807}
-# rmw/types.h; the order is that of the enumerations there
-NAMES = {
-    'history': ('system_default', 'keep_last', 'keep_all', 'unknown'),
-    'reliability': (
-        'system_default', 'reliable', 'best_effort', 'unknown', 'best_available'),
-    'durability': (
-        'system_default', 'transient_local', 'volatile', 'unknown', 'best_available'),
-    'liveliness': (
-        'system_default', 'automatic', 'manual_by_node', 'manual_by_topic', 'unknown',
-        'best_available'),
-}
-DURATIONS = ('deadline', 'lifespan', 'liveliness_lease_duration')
+# a policy that a bag does not name
+UNKNOWN = dict.fromkeys(('history', 'reliability', 'durability', 'liveliness'), 'unknown')
+NAMESPACES = 'avoid_ros_namespace_conventions'
 NANOSECONDS = 10 ** 9
 
 
@@ -42,7 +35,7 @@ def offered_qos(
         'lifespan': dict(INFINITE),
         'liveliness': 'automatic',
         'liveliness_lease_duration': dict(INFINITE),
-        'avoid_ros_namespace_conventions': False,
+        NAMESPACES: False,
     }
 
 
@@ -66,7 +59,7 @@ def qos_from_text(text: str) -> list[dict[str, Any]]:
     Raises:
         BagError: not YAML or not a list of profiles.
     """
-    return normalize_qos(load_yaml(text, 'QoS profiles')) if text else []
+    return normalize_qos(load_yaml(text, 'QoS profiles', BagError)) if text else []
 
 
 def normalize_qos(profiles: Any) -> list[dict[str, Any]]:
@@ -80,23 +73,14 @@ def normalize_qos(profiles: Any) -> list[dict[str, Any]]:
         return []
     if not isinstance(profiles, list) or not all(isinstance(one, dict) for one in profiles):
         raise BagError('QoS profiles are not a list of mappings')
-    return [_normalize(profile) for profile in profiles]
-
-
-def _normalize(profile: dict[str, Any]) -> dict[str, Any]:
-    result = offered_qos()
-    for policy, names in NAMES.items():
-        value = profile.get(policy, 'unknown')
-        if isinstance(value, int):
-            value = names[value] if 0 <= value < len(names) else 'unknown'
-        result[policy] = value if value in names else 'unknown'
     try:
-        result['depth'] = int(profile.get('depth', 0))
-        for name in DURATIONS:
-            given = profile.get(name) or INFINITE
-            result[name] = {'sec': int(given['sec']), 'nsec': int(given['nsec'])}
-    except (TypeError, ValueError, LookupError, OverflowError):
-        raise BagError('QoS profile with a depth or a duration that is no number') from None
-    result['avoid_ros_namespace_conventions'] = bool(
-        profile.get('avoid_ros_namespace_conventions', False))
-    return result
+        read = dump_qos_v9(parse_qos([{**offered_qos(), **UNKNOWN, **one} for one in profiles]))
+    except (AttributeError, LookupError, TypeError, ValueError):
+        # the library reads what is well-formed
+        raise BagError('QoS profile with a policy or a duration that is none') from None
+    numbers = [number for one in read for number in (
+        one['depth'], *one['deadline'].values(), *one['lifespan'].values(),
+        *one['liveliness_lease_duration'].values())]
+    if not all(isinstance(number, int) for number in numbers):
+        raise BagError('QoS profile with a depth or a duration that is no number')
+    return [{**one, NAMESPACES: bool(one[NAMESPACES])} for one in read]

@@ -15,7 +15,7 @@ from bags.reader import data_files
 from bags.salvage import open_damaged
 from bags.schemas import Schema
 from bags.writer import BagWriter, PROVENANCE_RECORD, ROSBAG2_RECORD
-from bags.yaml_text import load_yaml
+from msgs_bridge.yaml_text import load_yaml
 
 
 @dataclasses.dataclass
@@ -152,7 +152,7 @@ def _custom_data(files: list[McapFile]) -> dict[str, str]:
             return file.metadata[PROVENANCE_RECORD]
         text = file.metadata.get(ROSBAG2_RECORD, {}).get('serialized_metadata', '')
         try:
-            body = load_yaml(text, 'the rosbag2 record')
+            body = load_yaml(text, 'the rosbag2 record', BagError)
         except BagError:
             continue
         data = body.get('custom_data') if isinstance(body, dict) else None

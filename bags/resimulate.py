@@ -19,11 +19,11 @@ from typing import Any
 
 import numpy as np
 
-from bags.decode import BundleDecoder
+from bags.decode import decode_bundle
 from bags.errors import BagError
 from bags.frames import recorded_frames, RecordedFrame
 from bags.reader import BagReader
-from bags.steps import StepDecoder
+from bags.steps import decode_step
 from bags.topic_lookup import find_topic
 from carracing_dqn.simulation import find_simulator
 from carracing_dqn.simulation.registry import DEFAULT
@@ -270,10 +270,9 @@ def _constants(reader: BagReader, namespace: str) -> dict[int, dict[str, float]]
     name = find_topic(reader, EPISODE, namespace=namespace)
     if name is None:
         return {}
-    decoder = BundleDecoder()
     constants = {}
     for message in reader.messages([name]):
-        values = decoder.decode(message.data, name).values_with(('episode',))
+        values = decode_bundle(message.data, name).values_with(('episode',))
         constants[int(values['episode'])] = values
     return constants
 
@@ -281,10 +280,9 @@ def _constants(reader: BagReader, namespace: str) -> dict[int, dict[str, float]]
 def _frame_limit(reader: BagReader, namespace: str) -> int:
     """Return after how many frames episodes were cut off, as most of those cut off show it."""
     name = find_topic(reader, STEP, namespace=namespace)
-    decoder = StepDecoder()
     limits: Counter[int] = Counter()
     for message in reader.messages([name]) if name else ():
-        _, step = decoder.decode(message.data, name)
+        _, step = decode_step(message.data, name)
         if step.truncated and not step.info.get('ended_early', 0):
             limits[int(step.info.get('step', step.decision))] += 1
     return limits.most_common(1)[0][0] if limits else DEFAULT_MAX_FRAMES

@@ -7,28 +7,40 @@ from pathlib import Path
 import re
 
 from mcap.opcode import Opcode
+from mcap.records import ChunkIndex
 
 from bags.errors import BagError
 from bags.mcap_file import McapFile, Span
-from bags.mcap_records import HEAD, parse_record, record_bytes
+from bags.mcap_records import CHUNK, HEAD, MAX_CHUNK, MESSAGE, parse_record, record_bytes
 
 # how a chunk of less than 4 GiB begins, up to the name of its compression
 CHUNK_BEGINS = re.compile(
     rb'\x06.{4}\x00{4}.{28}(?:\x00{4}|\x03\x00{3}lz4|\x04\x00{3}zstd)', re.DOTALL)
-# how a short schema, channel or metadata record begins
-NAMES_BEGIN = re.compile(rb'[\x03\x04\x0c].{3}\x00{5}', re.DOTALL)
+# how a short record begins that names topics or says where chunks are
+SMALL_RECORD_BEGINS = re.compile(rb'[\x03\x04\x08\x0c].{3}\x00{5}', re.DOTALL)
+# how a message outside chunks begins, as rosbag2's preset `fastwrite` writes them
+MESSAGE_BEGINS = re.compile(rb'\x05.{4}\x00{4}', re.DOTALL)
+# so many records one behind the other are no accident
+CHAIN = 3
+# what stands between messages outside chunks
+CHAINED = (Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE_INDEX, Opcode.METADATA)
 # bytes looked at in vain for each byte of the file: one made of such beginnings ends, too
 EFFORT = 20
 # a few seconds, which no file by accident needs
 LEAST_EFFORT = 4 << 30
+
+# where something whole lies: start and end
+Place = tuple[int, int]
 
 
 def open_damaged(path: Path | str) -> tuple[McapFile, int]:
     """
     Open a file with everything in it that is whole.
 
-    Behind damage these are chunks whose CRC is right, and the names of topics. A chunk that is
-    there twice is taken once.
+    Behind damage these are chunks whose CRC is right or that, without one, unpack to records and
+    nothing else, where they are found or where the index of the file says that they are;
+    messages outside chunks of which several follow each other; and the names of topics. A chunk
+    that is there twice is taken once.
 
     Returns:
         The file, and how many of its bytes belong to nothing that is whole.
@@ -37,9 +49,9 @@ def open_damaged(path: Path | str) -> tuple[McapFile, int]:
         BagError: it cannot be read, or nothing of it is whole.
     """
     file = McapFile(path, strict=False)
-    if file.complete and not file.damage and all(map(file.fits, file.spans)):
+    if file.complete and not file.damage and all(_is_whole(file, span) for span in file.spans):
         return file, 0
-    whole = [(0, file.whole_until), *_salvage(file), (file.size, file.size)]
+    whole = [(0, file.whole_until), *_Salvage(file).places(), (file.size, file.size)]
     if not (file.library or file.spans or file.channels):
         file.close()
         raise BagError(f'{path} is not an MCAP file, or nothing of it is whole')
@@ -50,72 +62,173 @@ def open_damaged(path: Path | str) -> tuple[McapFile, int]:
     return file, 0 if file.complete else lost
 
 
-def _salvage(file: McapFile) -> list[tuple[int, int]]:
-    """Add to a file what is whole behind damage; return where it lies, as (start, end)."""
-    chunks = {span.record: span for span in file.spans if span.crc and file.fits(span)}
-    known = set(map(_content, chunks.values()))
-    found, position, effort = [], 0, EFFORT * file.size + LEAST_EFFORT
-    while match := CHUNK_BEGINS.search(file.raw(0, file.size), position):
-        start = match.start()
-        span = chunks.get(start)
-        if span is None and effort > 0:
-            span, cost = _whole_chunk(file, start)
-            effort -= cost
-        position = span.offset + span.length if span else start + 1
-        if span is None or start in chunks:
-            continue
-        found.append((start, position))
-        if _content(span) not in known:
-            known.add(_content(span))
-            file.spans.append(span)
-    inside = sorted([
-        *((span.record, span.offset + span.length) for span in chunks.values()), *found])
-    return found + _names_between(file, inside)
+class _Salvage:
+    """Adds to a file what is whole behind its damage."""
+
+    def __init__(self, file: McapFile) -> None:
+        self._file = file
+        self._effort = EFFORT * file.size + LEAST_EFFORT
+        # chunks that are whole, by where their records begin
+        self._chunks = {span.record: span for span in file.spans
+                        if span.record != span.offset and _is_whole(file, span)}
+        self._known = set(map(_content, self._chunks.values()))
+        self._indices: list[ChunkIndex] = []
+
+    def places(self) -> list[Place]:
+        """Add what is whole; return where it lies."""
+        found = self._find_chunks()
+        found += self._find_small_records(self._gaps(found))
+        found += self._follow_index()
+        return found + self._find_messages(self._gaps(found, self._file.whole_until))
+
+    def _gaps(self, found: list[Place], start: int = 0) -> list[Place]:
+        """Return the stretches behind a byte in which nothing whole was found."""
+        inside = sorted([
+            *((span.record, _end(span)) for span in self._chunks.values()), *found])
+        gaps = []
+        for low, high in [*inside, (self._file.size, self._file.size)]:
+            if low > start:
+                gaps.append((start, low))
+            start = max(start, high)
+        return gaps
+
+    def _worth(self, cost: int) -> bool:
+        """Spend effort, if there is some left."""
+        self._effort -= cost
+        return self._effort > 0
+
+    def _find_chunks(self) -> list[Place]:
+        file, found, position = self._file, [], 0
+        while match := CHUNK_BEGINS.search(file.raw(0, file.size), position):
+            start = match.start()
+            span = self._chunks.get(start)
+            if span is None and self._effort > 0:
+                try:
+                    span = file.read_chunk(start + HEAD.size, file.size)
+                    if not _is_whole(file, span):
+                        self._worth(span.length + span.unpacked_size)
+                        span = None
+                except BagError:
+                    span = None
+                if span is not None:
+                    found.append(self._add(span))
+            position = _end(span) if span else start + 1
+        return found
+
+    def _add(self, span: Span) -> Place:
+        if _content(span) not in self._known:
+            self._known.add(_content(span))
+            self._file.spans.append(span)
+        return span.record, _end(span)
+
+    def _find_small_records(self, gaps: list[Place]) -> list[Place]:
+        file, found = self._file, []
+        for low, high in gaps:
+            for match in SMALL_RECORD_BEGINS.finditer(file.raw(0, file.size), low, high):
+                head = match.start()
+                opcode, length = HEAD.unpack(file.raw(head, head + HEAD.size))
+                end = head + HEAD.size + length
+                if end > file.size:
+                    continue
+                if not self._worth(length):
+                    return found
+                content = file.raw(head + HEAD.size, end)
+                try:
+                    record = parse_record(opcode, content)
+                    if bytes(record_bytes(record))[HEAD.size:] != content:
+                        continue
+                except (BagError, UnicodeError):
+                    continue
+                if opcode == Opcode.METADATA:
+                    file.metadata.setdefault(record.name, record.metadata)
+                elif opcode == Opcode.CHUNK_INDEX:
+                    self._indices.append(record)
+                else:
+                    known = file.schemas if opcode == Opcode.SCHEMA else file.channels
+                    known.setdefault(record.id, record)
+                found.append((head, end))
+        return found
+
+    def _follow_index(self) -> list[Place]:
+        """Take the chunks whose head is damaged but whose place and size the index knows."""
+        file, found = self._file, []
+        for index in self._indices:
+            start = index.chunk_start_offset
+            offset = start + HEAD.size + CHUNK.size + 4 + len(index.compression.encode()) + 8
+            if (start in self._chunks or offset + index.compressed_size > file.size
+                    or index.uncompressed_size > MAX_CHUNK
+                    or not self._worth(index.compressed_size + index.uncompressed_size)):
+                continue
+            # the CRC stands in the head; where that is damaged too nothing tells what is whole
+            crc = CHUNK.unpack_from(file.raw(start, offset), HEAD.size)[3]
+            span = Span(offset, index.compressed_size, index.message_start_time,
+                        index.message_end_time, index.compression, index.uncompressed_size, crc,
+                        start)
+            if _is_whole(file, span):
+                found.append(self._add(span))
+        return found
+
+    def _find_messages(self, gaps: list[Place]) -> list[Place]:
+        found = []
+        for low, high in gaps:
+            position, data = low, self._file.raw(low, high)
+            while match := MESSAGE_BEGINS.search(data, position - low):
+                start = low + match.start()
+                span = self._chain(start, high)
+                position = start + 1 if span is None else _end(span)
+                if span is not None:
+                    self._file.spans.append(span)
+                    found.append((start, position))
+        return found
+
+    def _chain(self, start: int, stop: int) -> Span | None:
+        """Return the messages that follow each other from a byte on, if they are enough."""
+        position, times, records = start, [], 0
+        while position + HEAD.size <= stop:
+            opcode, length = HEAD.unpack(self._file.raw(position, position + HEAD.size))
+            end = position + HEAD.size + length
+            if end > stop or opcode not in CHAINED:
+                break
+            if opcode == Opcode.MESSAGE:
+                if length < MESSAGE.size or not self._worth(HEAD.size):
+                    break
+                channel, _, log_time, _ = MESSAGE.unpack(
+                    self._file.raw(position + HEAD.size, position + HEAD.size + MESSAGE.size))
+                if channel not in self._file.channels:
+                    break
+                times.append(log_time)
+            records += 1
+            position = end
+        if records < CHAIN:
+            return None
+        return Span(start, position - start, min(times), max(times), '', position - start, 0,
+                    start)
+
+
+def _end(span: Span) -> int:
+    return span.offset + span.length
 
 
 def _content(span: Span) -> tuple[int, ...]:
     return span.start_time, span.end_time, span.crc, span.unpacked_size
 
 
-def _whole_chunk(file: McapFile, position: int) -> tuple[Span | None, int]:
-    """Return the chunk that begins at a byte, if its CRC says so, and the bytes looked at."""
+def _is_whole(file: McapFile, span: Span) -> bool:
+    """Return whether a span unpacks to what its CRC says or, without one, to records alone."""
     try:
-        span = file.read_chunk(position + HEAD.size, file.size)
+        data = file.span_bytes(span)
     except BagError:
-        return None, 0
-    if span.crc and file.fits(span):
-        return span, 0
-    return None, span.length + span.unpacked_size
-
-
-def _names_between(
-    file: McapFile, chunks: list[tuple[int, int]],
-) -> list[tuple[int, int]]:
-    """Take schemas, channels and metadata that lie between chunks; return where they lie."""
-    found = []
-    effort = EFFORT * file.size + LEAST_EFFORT
-    bounds = [0, *(place for chunk in chunks for place in chunk), file.size]
-    for low, high in zip(bounds[::2], bounds[1::2]):
-        for match in NAMES_BEGIN.finditer(file.raw(0, file.size), low, high):
-            head = match.start()
-            opcode, length = HEAD.unpack(file.raw(head, head + HEAD.size))
-            end = head + HEAD.size + length
-            if end > file.size:
-                continue
-            effort -= length
-            if effort < 0:
-                return found
-            content = file.raw(head + HEAD.size, end)
-            try:
-                record = parse_record(opcode, content)
-                if bytes(record_bytes(record))[HEAD.size:] != content:
-                    continue
-            except (BagError, UnicodeError):
-                continue
-            if opcode == Opcode.METADATA:
-                file.metadata.setdefault(record.name, record.metadata)
-            else:
-                known = file.schemas if opcode == Opcode.SCHEMA else file.channels
-                known.setdefault(record.id, record)
-            found.append((head, end))
-    return found
+        return False
+    position = 0
+    while not span.crc and position < len(data):
+        if position + HEAD.size > len(data):
+            return False
+        opcode, length = HEAD.unpack_from(data, position)
+        start, position = position + HEAD.size, position + HEAD.size + length
+        if position > len(data) or opcode not in CHAINED:
+            return False
+        if opcode == Opcode.MESSAGE and not (
+                length >= MESSAGE.size
+                and span.start_time <= MESSAGE.unpack_from(data, start)[2] <= span.end_time):
+            return False
+    return bool(len(data))

@@ -5,33 +5,25 @@ from __future__ import annotations
 
 from typing import Any
 
-from bags.decode import BundleDecoder
+from bags.decode import decode_bundle
 from carracing_sim_node.controls import command_of
 from msgs_bridge.step import read_step, Step
 
 PEDALS = ('steer', 'gas', 'brake')
 
 
-class StepDecoder:
-    """Decodes the messages of one `step` topic."""
+def decode_step(data: Any, what: str) -> tuple[int, Step]:
+    """
+    Return stamp in ns and step; `what` names the message in errors.
 
-    def __init__(self) -> None:
-        """Know nothing of the names yet."""
-        self._bundles = BundleDecoder()
+    Bags of version 0.1 say which controls were applied where later ones have the command.
 
-    def decode(self, data: Any, what: str) -> tuple[int, Step]:
-        """
-        Return stamp in ns and step; `what` names the message in errors.
-
-        Bags of version 0.1 say which controls were applied where later ones have the command.
-
-        Raises:
-            BagError: the bytes are not a JointState.
-            MessageError: not a step that can be used.
-        """
-        bundle = self._bundles.decode(data, what)
-        step = read_step(bundle.values_with())
-        if 'linear' not in step.info and all(name in step.info for name in PEDALS):
-            step.info.update(
-                command_of(*(step.info[name] for name in PEDALS))._asdict())
-        return bundle.stamp, step
+    Raises:
+        BagError: the bytes are not a JointState.
+        MessageError: not a step that can be used.
+    """
+    bundle = decode_bundle(data, what)
+    step = read_step(bundle.values_with())
+    if 'linear' not in step.info and all(name in step.info for name in PEDALS):
+        step.info.update(command_of(*(step.info[name] for name in PEDALS))._asdict())
+    return bundle.stamp, step

@@ -8,9 +8,9 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from bags.topic_lookup import find_topic, need_topic, TWIST
-from bags.decode import decode, ImageDecoder
+from bags.decode import decode, decode_image
 from bags.reader import BagReader
-from bags.steps import StepDecoder
+from bags.steps import decode_step
 from msgs_bridge.errors import MessageError
 from msgs_bridge.stamps import to_nanoseconds
 from msgs_bridge.step import Step
@@ -57,15 +57,13 @@ def _transitions(
         twists = None
     joiner = TransitionJoiner()
     joiner.counts = counts
-    step_decoder = StepDecoder()
-    image_decoder = ImageDecoder()
     wanted = [images, steps] if twists is None else [images, steps, twists]
     for message in reader.messages(wanted):
         try:
             if message.topic == images:
-                joined = joiner.add_image(*image_decoder.decode(message.data, images))
+                joined = joiner.add_image(*decode_image(message.data, images))
             elif message.topic == steps:
-                stamp, step = step_decoder.decode(message.data, steps)
+                stamp, step = decode_step(message.data, steps)
                 joined = [] if twists is not None else _applied(joiner, step)
                 joined += joiner.add_step(stamp, step)
             else:

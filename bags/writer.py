@@ -16,7 +16,7 @@ from bags.metadata import (
 )
 from bags.qos_text import qos_to_text
 from bags.schemas import Schema, schema_of
-from bags.yaml_text import dump_yaml
+from msgs_bridge.yaml_text import dump_yaml
 
 # The library's own default is 768 KiB; a chunk is what a crash costs at most.
 CHUNK_BYTES = 1 << 20

@@ -203,14 +203,14 @@ def test_another_profile_is_refused(tmp_path):
         BagReader(path)
 
 
-def foreign_bag(path, *, schema_encoding='ros2msg', message_encoding='cdr',
+def foreign_bag(path, *, schema_encoding='ros2msg', message_encoding='cdr', times=(30, 10, 20),
                 type_name='nobody_msgs/msg/Nothing', data=b'\0\1\0\0', **options):
     with path.open('wb') as file:
-        writer = Writer(file, compression=CompressionType.NONE, **options)
+        writer = Writer(file, **{'compression': CompressionType.NONE, **options})
         writer.start(profile='ros2')
         schema = writer.register_schema(type_name, schema_encoding, b'int32 x')
         channel = writer.register_channel('/image_raw', message_encoding, schema)
-        for time in (30, 10, 20):
+        for time in times:
             writer.add_message(channel, time, data, time)
         writer.finish()
 
@@ -439,6 +439,46 @@ def test_recovery_goes_on_behind_damage_and_keeps_every_chunk_that_is_whole(
     if found or not expected:
         assert expected <= set(found)
     assert len(set(found)) == len(found)
+
+
+@pytest.mark.parametrize(('how', 'least'), [
+    ({'use_chunking': False}, 0.9),
+    ({'enable_crcs': False, 'compression': CompressionType.ZSTD}, 0.5),
+    ({'enable_crcs': False, 'compression': CompressionType.NONE}, 0.8),
+])
+def test_recovery_goes_on_in_files_of_others_without_chunks_or_their_crc(
+    tmp_path, how, least,
+):
+    foreign_bag(tmp_path / 'whole.mcap', times=range(1000, 1120), data=bytes(range(90)),
+                chunk_size=700, **how)
+    data = (tmp_path / 'whole.mcap').read_bytes()
+    with BagReader(tmp_path / 'whole.mcap') as reader:
+        whole = {(one.topic, one.log_time, bytes(one.data)) for one in reader.messages()}
+    assert len(whole) == 120
+    for place in range(1, 8):
+        damaged = bytearray(data)
+        start = len(data) * place // 10
+        damaged[start:start + 100] = bytes(100)
+        (tmp_path / 'damaged.mcap').write_bytes(damaged)
+        recover_bag(tmp_path / 'damaged.mcap', tmp_path / f'saved{place}')
+        with BagReader(tmp_path / f'saved{place}') as reader:
+            found = [(one.topic, one.log_time, bytes(one.data)) for one in reader.messages()]
+        assert len(set(found)) == len(found) > least * 120
+        # what stands in no CRC can be damaged unseen, the two messages that were hit at most
+        assert len(set(found) - whole) <= 2
+
+
+def test_a_chunk_whose_head_is_damaged_is_found_by_the_index(small, tmp_path):
+    folder, data, written = small
+    with McapFile(folder / f'{folder.name}_0.mcap') as file:
+        span = file.spans[1]
+    for place in (span.record, span.record + 3, span.record + HEAD.size + 20, span.offset - 3):
+        damaged = bytearray(data)
+        damaged[place] ^= 0x50
+        (tmp_path / 'damaged.mcap').write_bytes(damaged)
+        recover_bag(tmp_path / 'damaged.mcap', tmp_path / f'saved{place}')
+        with BagReader(tmp_path / f'saved{place}') as reader:
+            assert read_all(reader) == written
 
 
 def test_a_flip_in_the_header_loses_nothing(small, tmp_path):

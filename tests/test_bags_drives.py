@@ -11,7 +11,7 @@ from pathlib import Path
 import av
 from bag_cases import bundle, DriveRecorder, image, record_drive, scripted, twist
 from bags.command import add_arguments, main
-from bags.decode import BundleDecoder, ImageDecoder
+from bags.decode import decode_bundle, decode_image
 from bags.episodes import find_episodes
 from bags.errors import BagError
 from bags.export import export_csv, export_video
@@ -322,22 +322,11 @@ def test_commands_answer_with_one_line_and_a_code(tmp_path, drive, capsys):
     assert not (tmp_path / 'new').exists()
 
 
-def test_quick_decoding_gives_what_full_decoding_gives(drive):
-    with BagReader(drive) as reader:
-        bundles, images = BundleDecoder(), ImageDecoder()
-        for message in reader.messages(['/step', '/q_values', '/image_raw']):
-            if message.topic == '/image_raw':
-                stamp, pixels = images.decode(message.data, 'x')
-                other, again = ImageDecoder().decode(message.data, 'x')
-                assert stamp == other
-                assert np.array_equal(pixels, again)
-            else:
-                assert bundles.decode(message.data, 'x') == BundleDecoder().decode(
-                    message.data, 'x')
-    for decoder in (BundleDecoder(), ImageDecoder()):
-        for junk in (b'', b'\0\1', b'\0\1\0\0' + bytes(7), b'\xff' * 64):
-            with pytest.raises(BagError):
-                decoder.decode(junk, 'x')
+@pytest.mark.parametrize('decode', [decode_bundle, decode_image])
+@pytest.mark.parametrize('junk', [b'', b'\0\1', b'\0\1\0\0' + bytes(7), b'\xff' * 64])
+def test_bytes_that_are_no_message_are_an_error_of_the_bag(decode, junk):
+    with pytest.raises(BagError):
+        decode(junk, 'x')
 
 
 def test_a_bag_of_version_0_1_is_verified_driven_again_and_learned_from():

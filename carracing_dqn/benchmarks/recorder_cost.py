@@ -144,12 +144,11 @@ def _cpu_seconds(process: subprocess.Popen) -> float:
 
 def _missing(reader: BagReader) -> Counter[str]:
     """Return how many decisions are missing between the first and the last in a bag."""
-    from bags.decode import BundleDecoder
-    decoder = BundleDecoder()
+    from bags.decode import decode_bundle
     missing: Counter[str] = Counter()
     last = None
     for message in reader.messages(['/step']):
-        facts = decoder.decode(message.data, STEP.name).values_with(('episode', 'decision'))
+        facts = decode_bundle(message.data, STEP.name).values_with(('episode', 'decision'))
         present = (facts['episode'], facts['decision'])
         if last is not None and present[0] == last[0]:
             missing['step'] += int(present[1] - last[1] - 1)

@@ -1,13 +1,13 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
-"""YAML as bags use it: bounded, safe, without aliases in either direction."""
+"""YAML as it comes from outside: bounded, safe, without aliases in either direction."""
 from __future__ import annotations
 
 from typing import Any
 
 import yaml
 
-from bags.errors import BagError
+from msgs_bridge.errors import BridgeError
 
 # A bag of a thousand topics needs a tenth of this.
 MAX_TEXT = 4 << 20
@@ -27,19 +27,19 @@ class _Dumper(yaml.SafeDumper):
         return True
 
 
-def load_yaml(text: str, what: str) -> Any:
+def load_yaml(text: str, what: str, error: type[BridgeError]) -> Any:
     """
     Return the value of a YAML text; `what` names it in errors.
 
     Raises:
-        BagError: longer than 4 MiB, not YAML, nested too deep, or with aliases.
+        error: longer than 4 MiB, not YAML, nested too deep, or with aliases.
     """
     if len(text) > MAX_TEXT:
-        raise BagError(f'{what} has {len(text)} characters; accepted: {MAX_TEXT}')
+        raise error(f'{what} has {len(text)} characters; accepted: {MAX_TEXT}')
     try:
         return yaml.load(text, _Loader)
-    except (yaml.YAMLError, RecursionError, ValueError) as error:
-        raise BagError(f'{what} is not valid YAML: {" ".join(str(error).split())}') from None
+    except (yaml.YAMLError, RecursionError, ValueError) as problem:
+        raise error(f'{what} is not valid YAML: {" ".join(str(problem).split())}') from None
 
 
 def dump_yaml(value: Any) -> str:
