@@ -13,7 +13,8 @@ from carracing_dqn.bringup.monitor import absolute_namespace, GraphState, Monito
 from carracing_dqn.bringup.provenance import with_provenance
 from carracing_dqn.bringup.run_folders import default_folder, new_folder
 from carracing_dqn.bringup.supervise import check_machine, refuse_second_simulator, run_to_the_end
-from carracing_dqn.simulation import find_simulator
+from carracing_dqn.simulation.profiles import profile_of
+from carracing_dqn.simulation.registry import frame_seconds
 from msgs_bridge.errors import BridgeError
 from rich.console import Console
 from rich.table import Table
@@ -27,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--model', default=None,
                         help='model folder, name of a shipped model, or random '
                              '(default: the best that is shipped)')
-    parser.add_argument('--simulator', default='carracing', metavar='NAME|MODULE:CLASS',
+    parser.add_argument('--simulator', default='carracing', metavar='NAME|PROFILE|MODULE:CLASS',
                         help='what to drive in (default: %(default)s)')
     parser.add_argument('--laps', type=int, default=3,
                         help='episodes to drive; 0 = until Ctrl-C (default 3)')
@@ -49,9 +50,8 @@ def main(arguments: argparse.Namespace) -> int:
         raise BridgeError(f'--seed is {arguments.seed}; accepted: 0 to {2**31 - 1}')
     absolute_namespace(arguments.namespace)
     check_machine()
-    frame_seconds = find_simulator(arguments.simulator).frame_seconds
     model = choose_model(arguments.model)
-    repeat = action_repeat(model, frame_seconds)
+    repeat = action_repeat(model, frame_seconds(arguments.simulator))
     monitor = Monitor(arguments.namespace)
     try:
         refuse_second_simulator(monitor)
@@ -81,7 +81,7 @@ def main(arguments: argparse.Namespace) -> int:
 def _graph(arguments: argparse.Namespace, model: str, repeat: int, folder: Path) -> Graph:
     graph = driving_graph(
         model=as_parameter(model, folder), seed=arguments.seed, simulator=arguments.simulator,
-        episodes=arguments.laps,
+        episodes=arguments.laps, policy=profile_of(arguments.simulator).vehicle,
         stepping='real_time' if arguments.real_time else 'lockstep',
         # in real time every frame is shown; in lockstep only those the policy decides on
         action_repeat=1 if arguments.real_time else repeat,

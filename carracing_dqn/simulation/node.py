@@ -20,10 +20,11 @@ Wall time decides about all of it, so that `use_sim_time` changes nothing.
 from __future__ import annotations
 
 from collections.abc import Callable
+import functools
 import time
 
 from carracing_dqn.simulation.drive import Drive, Frame
-from carracing_dqn.simulation.registry import find_simulator
+from carracing_dqn.simulation.registry import DEFAULT, find_simulator
 from carracing_dqn.simulation.settings import node_settings
 from carracing_dqn.simulation.stepping import Lockstep, RealTime
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -53,15 +54,19 @@ LAST_WORDS = Duration(seconds=1)
 class SimulatorNode(NodeShell):
     """A simulator as a node; `Drive` does the driving, `Stepping` says when."""
 
-    def __init__(self, name: str = 'simulator_node') -> None:
+    def __init__(self, name: str = 'simulator_node', simulator: str = DEFAULT) -> None:
         """
         Declare the parameters, make the simulator and wait for a driver.
+
+        Args:
+            name: of the node.
+            simulator: which one it is if its parameters do not say.
 
         Raises:
             SettingsError: a parameter that is unknown or not accepted.
             SimulatorError: no such simulator, or it cannot run here.
         """
-        super().__init__(name, node_settings)
+        super().__init__(name, functools.partial(node_settings, simulator=simulator))
         settings = self.settings
         simulator = find_simulator(settings.simulator)(settings)
         self.drive = Drive(simulator, settings)

@@ -4,8 +4,9 @@
 Simulators by name.
 
 Those of this package are listed here. Other packages offer theirs in their metadata, as entry
-points `name = module:Class` of the group `carracing_dqn.simulators`; and without any of that a
-simulator is named `module:Class`.
+points `name = module:Class` of the group `carracing_dqn.simulators`; a profile
+(`carracing_dqn/simulation/profiles.py`) is the name of the simulator that it makes of another; and
+without any of that a simulator is named `module:Class`.
 """
 from __future__ import annotations
 
@@ -13,10 +14,15 @@ from collections.abc import Mapping
 import functools
 import importlib
 from importlib.metadata import entry_points
+import math
 import os
+from pathlib import Path
 import sys
 from typing import Any
 
+from carracing_dqn.simulation.profiles import (
+    as_simulator, find_profile, load_profile, profile_names,
+)
 from msgs_bridge.errors import SimulatorError
 from msgs_bridge.settings import from_mapping
 from msgs_bridge.simulator import Simulator
@@ -26,6 +32,7 @@ SIMULATORS = {
     # its older name
     'fast': 'carracing_sim_node.simulator:CarRacing',
     'gymnasium': 'carracing_sim_node.stock:GymnasiumCarRacing',
+    'gymnasium_env': 'carracing_dqn.simulators.gymnasium_env:GymnasiumEnv',
 }
 GROUP = 'carracing_dqn.simulators'
 DEFAULT = 'carracing'
@@ -41,7 +48,7 @@ def _registered() -> dict[str, str]:
 
 def simulator_names() -> list[str]:
     """Return the names of the simulators that are installed."""
-    return sorted(_registered())
+    return sorted({*_registered(), *profile_names()})
 
 
 def find_simulator(name: str, *, registered_only: bool = False) -> type[Simulator]:
@@ -49,18 +56,23 @@ def find_simulator(name: str, *, registered_only: bool = False) -> type[Simulato
     Return the simulator of a name.
 
     Args:
-        name: of a simulator that is installed, or `module:Class`, which is imported.
+        name: of a simulator that is installed, of a profile, the path of one (.yaml), or
+            `module:Class`, which is imported.
         registered_only: take installed ones alone, for names that come from a file.
 
     Raises:
         SimulatorError: there is none, or it lacks what a simulator owes.
+        SettingsError: a profile that is none.
     """
     # the metadata of all packages is only read for names that are not ours
-    place = SIMULATORS.get(name) or _registered().get(name)
+    place = SIMULATORS.get(name)
+    if place is None and (path := find_profile(name, shipped_only=registered_only)):
+        return _of_profile(path)
+    place = place or _registered().get(name)
     if place is None:
         if registered_only or ':' not in name:
             raise SimulatorError(f'simulator is {_shown(name)}; accepted: '
-                                 f'{", ".join(simulator_names())}; or module:Class')
+                                 f'{", ".join(simulator_names())}; PROFILE.yaml; or module:Class')
         place = name
         # console scripts, other than `python -m`, do not look into the folder they are called in
         if os.getcwd() not in sys.path:
@@ -88,6 +100,34 @@ def make_simulator(name: str, values: Mapping[str, Any] | None = None) -> Simula
     """
     kind = find_simulator(name)
     return kind(from_mapping(kind.Settings, dict(values or {})))
+
+
+def frame_seconds(name: str) -> float:
+    """
+    Return the simulated seconds of a frame of the simulator of a name.
+
+    Raises:
+        SimulatorError, SettingsError: as `make_simulator`.
+    """
+    seconds = getattr(find_simulator(name), 'frame_seconds', None)
+    if isinstance(seconds, (int, float)):
+        return seconds
+    # only one that is made knows its own
+    simulator = make_simulator(name)
+    try:
+        return getattr(simulator, 'frame_seconds', math.nan)
+    finally:
+        simulator.close()
+
+
+@functools.cache
+def _of_profile(path: Path) -> type[Simulator]:
+    profile = load_profile(path)
+    if not profile.simulator:
+        raise SimulatorError(f'{path} describes what runs by itself: it names no simulator')
+    if find_profile(profile.simulator):
+        raise SimulatorError(f'{path}: simulator is {_shown(profile.simulator)}, a profile itself')
+    return as_simulator(profile, path, find_simulator(profile.simulator))
 
 
 def _load(place: str, name: str) -> Any:

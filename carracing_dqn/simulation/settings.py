@@ -76,17 +76,26 @@ def settings_for(simulator: str) -> type:
         if name in shared and (name == 'simulator' or kind is not shared[name][0]):
             raise SettingsError(
                 f"simulator {simulator!r} has a setting {name!r} that is not the node's")
+    # what the node is without a word is this simulator
+    default = ('simulator', str, dataclasses.field(
+        default=simulator, metadata={'description': shared['simulator'][2]}))
     return dataclasses.make_dataclass(
-        'NodeSettings', [], bases=(own, SimulationSettings), frozen=True)
+        'NodeSettings', [default], bases=(own, SimulationSettings), frozen=True)
 
 
-def node_settings(values: Mapping[str, object] = MappingProxyType({})) -> type:
+def node_settings(
+    values: Mapping[str, object] = MappingProxyType({}), simulator: str = DEFAULT,
+) -> type:
     """
     Return the settings class that fits the parameters that were given.
+
+    Args:
+        values: the parameters.
+        simulator: which one it is if they do not say.
 
     Raises:
         SimulatorError, SettingsError: as `settings_for`.
     """
-    kind, default, description = describe(SimulationSettings)['simulator']
+    kind, _, description = describe(SimulationSettings)['simulator']
     return settings_for(check_value('simulator', kind, description,
-                                    values.get('simulator', default)))
+                                    values.get('simulator', simulator)))

@@ -1,0 +1,144 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Simulator profiles: what one simulator or robot needs, as a YAML file.
+
+A profile that names the simulator it stands on is itself the name of a simulator, wherever one is
+chosen: the same class with other settings. One that names none describes a simulator or a robot
+that runs by itself.
+"""
+from __future__ import annotations
+
+from collections.abc import Mapping
+import dataclasses
+import functools
+from pathlib import Path
+from typing import Any
+
+from msgs_bridge.errors import SettingsError
+from msgs_bridge.regular_file import read_regular
+from msgs_bridge.settings import check_value, describe, unknown_setting
+from msgs_bridge.share import share_folders
+from msgs_bridge.simulator import Simulator
+from msgs_bridge.yaml_text import dump_yaml, load_yaml
+
+FOLDER = Path('config') / 'simulators'
+SUFFIX = '.yaml'
+MAX_BYTES = 1 << 16
+
+
+@dataclasses.dataclass(frozen=True)
+class Profile:
+    """
+    What is known of a simulator or a robot.
+
+    Attributes:
+        about: what it is, in one line.
+        simulator: name of the simulator that it stands on; empty: it runs by itself.
+        deterministic: whether the same seed and commands give the same outcomes to the last bit.
+        settings: other defaults for the parameters of the simulator's node; what is no text,
+            number or truth value is handed on as YAML.
+        vehicle: parameters of policy and trainer: camera, units and limits of the commands.
+        topics: remaps, relative name -> name.
+        training: `preset` and hyperparameters of `carracing train`.
+    """
+
+    about: str = ''
+    simulator: str = ''
+    deterministic: bool = False
+    settings: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    vehicle: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    topics: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    training: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+
+
+KINDS = {'about': str, 'simulator': str, 'deterministic': bool}
+
+
+def profile_names() -> list[str]:
+    """Return the names of the profiles that come with the package."""
+    return sorted({path.stem for folder in share_folders()
+                   for path in (folder / FOLDER).glob(f'*{SUFFIX}')})
+
+
+def find_profile(name: str, *, shipped_only: bool = False) -> Path | None:
+    """
+    Return the file of a profile: that of a shipped one's name, or a path that ends with .yaml.
+
+    Args:
+        name: of the profile.
+        shipped_only: take those of the package alone, for names that come from a file.
+    """
+    for folder in share_folders():
+        path = folder / FOLDER / f'{name}{SUFFIX}'
+        if path.parent == folder / FOLDER and path.is_file():
+            return path
+    if name.endswith(SUFFIX) and not shipped_only:
+        return Path(name).expanduser()
+    return None
+
+
+def load_profile(path: Path) -> Profile:
+    """
+    Read a profile.
+
+    Raises:
+        SettingsError: no such file, or one line that says what of it is not accepted.
+    """
+    text = read_regular(path, MAX_BYTES, SettingsError).decode('utf-8', 'replace')
+    content = load_yaml(text, str(path), SettingsError)
+    if not isinstance(content, dict):
+        raise SettingsError(f'{path}: a profile is a mapping of names to values')
+    known = [field.name for field in dataclasses.fields(Profile)]
+    for name, value in content.items():
+        if name not in known:
+            raise SettingsError(f'{path}: {unknown_setting(name, known)}')
+        kind = KINDS.get(name, dict)
+        if type(value) is not kind or (kind is dict and not all(map(_is_name, value))):
+            what = {str: 'a text', bool: 'true or false'}.get(kind, 'a mapping of names')
+            raise SettingsError(f'{path}: {name} must be {what}')
+    return Profile(**content)
+
+
+def _is_name(key: object) -> bool:
+    return isinstance(key, str)
+
+
+def as_simulator(profile: Profile, path: Path, base: type[Simulator]) -> type[Simulator]:
+    """
+    Return the class of a simulator with the defaults of a profile.
+
+    Raises:
+        SettingsError: a setting that the simulator does not have, or a value not accepted.
+    """
+    known = describe(base.Settings)
+    fields = []
+    for name, value in profile.settings.items():
+        if name not in known:
+            raise SettingsError(f'{path}: settings: {unknown_setting(name, known)}')
+        kind, _, description = known[name]
+        if kind is str and not isinstance(value, str):
+            value = dump_yaml(value).strip()
+        try:
+            value = check_value(name, kind, description, value)
+        except SettingsError as error:
+            raise SettingsError(f'{path}: settings: {error}') from None
+        fields.append((name, kind, dataclasses.field(
+            default=value, metadata={'description': description})))
+    settings = dataclasses.make_dataclass(
+        f'{base.Settings.__name__}Of{path.stem}', fields, bases=(base.Settings,), frozen=True)
+    return type(base.__name__, (base,), {
+        'Settings': settings, 'deterministic': profile.deterministic,
+        '__doc__': profile.about or base.__doc__})
+
+
+@functools.cache
+def profile_of(name: str) -> Profile:
+    """
+    Return the profile of a name; an empty one where there is none, as for a class of its own.
+
+    Raises:
+        SettingsError: as `load_profile`.
+    """
+    path = find_profile(name)
+    return Profile() if path is None else load_profile(path)
