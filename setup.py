@@ -70,6 +70,8 @@ setup(
         'test': [
             'colcon-core', 'colcon-ros', 'hypothesis', 'mcap-ros2-support', 'pytest', 'ruff'],
         'tensorboard': ['tensorboard'],
+        # simulators that others wrote
+        'highway': ['highway-env'],
         'bench': ['envpool', 'mcap-ros2-support', 'psutil', 'stable-baselines3'],
     },
     zip_safe=True,

@@ -202,6 +202,15 @@ ACTION_SPACES = {
             ('left gas', 0.2, 0.3),
             ('right gas', 0.2, -0.3),
         ),
+        # for what only turns, or keeps its own speed
+        _make(
+            'steer5',
+            ('left', 0.0, 1.0),
+            ('gentle left', 0.0, 0.3),
+            ('none', 0.0, 0.0),
+            ('gentle right', 0.0, -0.3),
+            ('right', 0.0, -1.0),
+        ),
         # three ways to steer x gas, coast and a light brake
         _make(
             'grid9',

@@ -13,16 +13,16 @@ import math
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from dqn_policy_node.action_space import ACTION_SPACES, action_space
 from dqn_policy_node.model_description import (
     GRAYS, MAX_FRAME_SIDE, ModelDescription, Network, parse_convolutions, Preprocessing, ROADS,
 )
 from msgs_bridge.errors import SettingsError
+from msgs_bridge.regular_file import read_regular
 from msgs_bridge.seeds import is_validation, TRAINING, training_seed, VALIDATION
 from msgs_bridge.settings import from_mapping, setting
-from msgs_bridge.share import share_path
+from msgs_bridge.share import share_folders, share_path
+from msgs_bridge.yaml_text import dump_yaml, load_yaml
 from trainer_node.learner import LEARNERS
 from trainer_node.losses import LOSSES
 
@@ -331,15 +331,9 @@ def load_preset(
             path = share_path(Path('config') / f'{name_or_path}.yaml')
         except FileNotFoundError:
             raise SettingsError(f'no preset {str(name_or_path)!r}: neither a file nor one of '
-                                "the package's, which are 'report' and 'racing'") from None
-    try:
-        if path.stat().st_size > MAX_PRESET_BYTES:
-            raise SettingsError(f'{path} is longer than {MAX_PRESET_BYTES} bytes')
-        values = yaml.safe_load(path.read_text())
-    except OSError as error:
-        raise SettingsError(f'{path}: {error.strerror}') from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise SettingsError(f'{path} is not YAML: {str(error).splitlines()[0]}') from None
+                                f"the package's, which are {', '.join(preset_names())}") from None
+    text = read_regular(path, MAX_PRESET_BYTES, SettingsError).decode('utf-8', 'replace')
+    values = load_yaml(text, str(path), SettingsError)
     if values is None:
         values = {}
     if not isinstance(values, dict):
@@ -350,6 +344,12 @@ def load_preset(
         raise SettingsError(f'{path}: {error}') from None
 
 
+def preset_names() -> list[str]:
+    """Return the names of the presets that come with the package."""
+    return sorted({path.stem for folder in share_folders()
+                   for path in (folder / 'config').glob('*.yaml')})
+
+
 def to_yaml(hyperparameters: Hyperparameters) -> str:
     """Return a preset file that holds every value."""
-    return yaml.safe_dump(dataclasses.asdict(hyperparameters), sort_keys=False)
+    return dump_yaml(dataclasses.asdict(hyperparameters))

@@ -20,8 +20,10 @@ import subprocess
 import sys
 import tempfile
 
+from msgs_bridge.errors import BridgeError
 from rich.console import Console
 from rich.table import Table
+from trainer_node.run_record import UPDATES_PER_ROW
 
 # Validation would be measured, too; it takes the same time in both, but not at the same moments.
 UNVALIDATED = {
@@ -38,9 +40,17 @@ def overrides(minutes: float) -> list[str]:
 
 
 def rates(run: Path) -> tuple[float, float]:
-    """Return decisions/s and updates/s of a run, start-up left out."""
+    """
+    Return decisions/s and updates/s of a run, start-up left out.
+
+    Raises:
+        BridgeError: it was over before there were two rows to compare.
+    """
     with (run / 'updates.csv').open(newline='') as file:
         rows = list(csv.DictReader(file))
+    if len(rows) < 2:
+        raise BridgeError(f'a run ended after fewer than {2 * UPDATES_PER_ROW} updates: give '
+                          '--minutes more')
     first, last = rows[0], rows[-1]
     seconds = float(last['wall_seconds']) - float(first['wall_seconds'])
     return tuple((float(last[name]) - float(first[name])) / seconds

@@ -12,6 +12,9 @@ from collections.abc import Mapping
 import dataclasses
 from typing import Any
 
+from msgs_bridge.settings import describe
+from trainer_node.settings import TrainerSettings
+
 
 @dataclasses.dataclass(frozen=True)
 class NodeKind:
@@ -106,7 +109,7 @@ def driving_graph(
 
 def training_graph(
     hyperparameters: Any, *, trainer: Mapping[str, Any], first_episode: int = 0,
-    first_decision: int = 0, bag: str | None = None,
+    first_decision: int = 0, vehicle: Mapping[str, Any] | None = None, bag: str | None = None,
 ) -> Graph:
     """
     Return trainer, policy, validator and simulator, and a recorder if there is to be a bag.
@@ -116,13 +119,16 @@ def training_graph(
         trainer: parameters of the trainer.
         first_episode: number of the first episode, when the run goes on.
         first_decision: decisions of the run so far, when it goes on.
+        vehicle: parameters of the policy and, where it has them, of the trainer: the camera and
+            the units of the commands.
         bag: new folder for a bag of every topic.
     """
     return _connected(
         *_recorder(bag),
-        NodeSpec(TRAINER, trainer),
+        NodeSpec(TRAINER, {**{name: value for name, value in (vehicle or {}).items()
+                              if name in describe(TrainerSettings)}, **trainer}),
         # without a model it waits for the first weights; other random actions after a resume
-        NodeSpec(POLICY, {'model': '', 'explore': True,
+        NodeSpec(POLICY, {**(vehicle or {}), 'model': '', 'explore': True,
                           'seed': (hyperparameters.seed + first_decision) % 2**31}),
         NodeSpec(VALIDATOR, {'simulator': hyperparameters.simulator,
                              'seed': hyperparameters.validation_seed,

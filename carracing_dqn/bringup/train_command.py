@@ -19,23 +19,30 @@ from carracing_dqn.bringup.provenance import with_provenance
 from carracing_dqn.bringup.run_folders import default_folder, new_folder
 from carracing_dqn.bringup.supervise import check_machine, refuse_second_simulator, run_to_the_end
 from carracing_dqn.bringup.training_display import best_score, training_line, training_table
-from carracing_dqn.simulation import find_simulator
+from carracing_dqn.simulation import find_simulator, make_simulator
+from carracing_dqn.simulation.profiles import find_profile, profile_of
 from msgs_bridge.errors import BridgeError, SettingsError
 from msgs_bridge.settings import describe
 from msgs_bridge.terminal import say
 from rich.console import Console
-from trainer_node.hyperparameters import Hyperparameters
+from trainer_node.hyperparameters import Hyperparameters, preset_names
 from trainer_node.open_run import read_overrides, resume_point, run_settings
 from trainer_node.run_folder import RunFolder
 
 PRESET = 'racing'
+SIMULATOR_PRESET = 'pixels'
+"""Preset for a simulator that was named and whose profile names none."""
 LIST_HINT = 'carracing train --list prints every name and what it accepts'
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of `carracing train`."""
     parser.add_argument('--preset', default=None,
-                        help=f'racing, report, or the path of a YAML file (default {PRESET})')
+                        help=f'{", ".join(preset_names())}, or the path of a YAML file (default '
+                             f'{PRESET}; with --simulator {SIMULATOR_PRESET})')
+    parser.add_argument('--simulator', default=None, metavar='NAME|PROFILE|MODULE:CLASS',
+                        help='what to learn in: its frames, and what its profile says of a '
+                             'preset and hyperparameters')
     parser.add_argument('--run', type=Path, default=None,
                         help='run folder (default: runs/<preset>-<time>)')
     parser.add_argument('--resume', type=Path, default=None, metavar='RUN',
@@ -59,15 +66,17 @@ def main(arguments: argparse.Namespace) -> int:
     """Train until the run is complete or the user stops it; return the exit code."""
     _check(arguments)
     console = Console()
-    resume, preset = arguments.resume is not None, arguments.preset or PRESET
+    resume, preset = arguments.resume is not None, _preset(arguments)
     # before the folder is made, so that a wrong name leaves nothing behind
-    overrides = _overrides(arguments)
+    arguments.pairs = _pairs(arguments)
+    overrides = _overrides(arguments.pairs)
     hyperparameters = run_settings(arguments.resume, preset, overrides, resume=resume)
     if arguments.list:
         for line in hyperparameter_lines(hyperparameters, shutil.get_terminal_size().columns):
             say(console, line)
         return 0
-    folder = arguments.resume or arguments.run or default_folder(Path(preset).stem)
+    folder = arguments.resume or arguments.run or default_folder(
+        Path(arguments.simulator or preset).stem.replace(':', '.'))
     # one that was killed before its first checkpoint is begun anew
     begun = resume or RunFolder(folder).unfinished_start
     if folder.exists() and not begun:
@@ -109,26 +118,61 @@ def _check(arguments: argparse.Namespace) -> None:
     absolute_namespace(arguments.namespace)
     if arguments.minutes is not None and not 0 < arguments.minutes <= 1e6:
         raise BridgeError(f'--minutes is {arguments.minutes:g}; accepted: above 0, up to 1000000')
-    if arguments.resume is not None and (arguments.run or arguments.preset):
-        raise BridgeError('--resume goes on in its own folder with its own settings: --run and '
-                          '--preset are for a new run; --set changes single values')
+    if arguments.resume is not None and (
+            arguments.run or arguments.preset or arguments.simulator):
+        raise BridgeError('--resume goes on in its own folder with its own settings: --run, '
+                          '--preset, --simulator are for a new run; --set changes single values')
     if arguments.bag and arguments.from_bag:
         raise BridgeError('--bag records a graph, which --from-bag does without')
     if arguments.tensorboard and importlib.util.find_spec('tensorboard') is None:
         raise BridgeError("--tensorboard needs the package 'tensorboard': pip install tensorboard")
 
 
-def _overrides(arguments: argparse.Namespace) -> dict[str, Any]:
+def _preset(arguments: argparse.Namespace) -> str:
+    if arguments.preset is None and arguments.simulator is not None:
+        return str(profile_of(arguments.simulator).training.get('preset', SIMULATOR_PRESET))
+    return arguments.preset or PRESET
+
+
+def _overrides(pairs: list[str]) -> dict[str, Any]:
     """Return the hyperparameters that were asked for by name; raises SettingsError."""
     try:
-        return read_overrides(_pairs(arguments))
+        return read_overrides(pairs)
     except SettingsError as error:
         raise SettingsError(f'--set: {error}; {LIST_HINT}') from None
 
 
 def _pairs(arguments: argparse.Namespace) -> list[str]:
+    """Return NAME=VALUE of what differs from the preset; the last of a name counts."""
     minutes = [] if arguments.minutes is None else [f'run_minutes={arguments.minutes}']
-    return [*arguments.set, *minutes]
+    return [*_of_simulator(arguments.simulator), *arguments.set, *minutes]
+
+
+def _of_simulator(name: str | None) -> list[str]:
+    """Return NAME=VALUE of what a simulator looks like and of what its profile says."""
+    if name is None:
+        return []
+    path = find_profile(name)
+    if path is not None and path.is_file():
+        # nodes run in the folder of their run
+        name = name if path.stem == name else str(path.resolve())
+    simulator = make_simulator(name)
+    try:
+        height, width, _ = simulator.reset(0 if simulator.seeded else None).pixels.shape
+        values = {'simulator': name, 'frame_height': height, 'frame_width': width,
+                  'frame_seconds': simulator.frame_seconds, **profile_of(name).training}
+    finally:
+        simulator.close()
+    pairs = [f'{key}={_as_text(value)}' for key, value in values.items() if key != 'preset']
+    try:
+        read_overrides(pairs)
+    except SettingsError as error:
+        raise SettingsError(f'simulator {name}: training: {error}') from None
+    return pairs
+
+
+def _as_text(value: Any) -> str:
+    return str(value).lower() if isinstance(value, bool) else str(value)
 
 
 def _what_next(folder: Path, before: str = '') -> str:
@@ -142,14 +186,15 @@ def _graph(
     arguments: argparse.Namespace, hyperparameters: Hyperparameters, folder: Path,
     episodes: int, decisions: int,
 ) -> Graph:
-    preset = arguments.preset or PRESET
+    preset = _preset(arguments)
     if Path(preset).expanduser().is_file():
         # paths count from the run folder, which is where the nodes are
         preset = os.path.relpath(Path(preset).expanduser().resolve(), folder.resolve())
     graph = training_graph(
         hyperparameters, first_episode=episodes, first_decision=decisions,
+        vehicle=profile_of(hyperparameters.simulator).vehicle,
         trainer={'run': '.', 'resume': arguments.resume is not None, 'preset': preset,
-                 'overrides': ','.join(_pairs(arguments)), 'tensorboard': arguments.tensorboard},
+                 'overrides': ','.join(arguments.pairs), 'tensorboard': arguments.tensorboard},
         bag=next_bag(folder).name if arguments.bag else None)
     return with_provenance(graph, preset=Path(preset).stem)
 
