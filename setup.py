@@ -72,6 +72,7 @@ setup(
         'tensorboard': ['tensorboard'],
         # simulators that others wrote
         'highway': ['highway-env'],
+        'mujoco': ['mujoco'],
         'bench': ['envpool', 'mcap-ros2-support', 'psutil', 'stable-baselines3'],
     },
     zip_safe=True,

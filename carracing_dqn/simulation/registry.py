@@ -33,6 +33,7 @@ SIMULATORS = {
     'fast': 'carracing_sim_node.simulator:CarRacing',
     'gymnasium': 'carracing_sim_node.stock:GymnasiumCarRacing',
     'gymnasium_env': 'carracing_dqn.simulators.gymnasium_env:GymnasiumEnv',
+    'mujoco': 'carracing_dqn.simulators.mujoco_car:MujocoCar',
 }
 GROUP = 'carracing_dqn.simulators'
 DEFAULT = 'carracing'
