@@ -24,7 +24,9 @@ from msgs_bridge.matching import (
 from msgs_bridge.plain_text import plain
 from msgs_bridge.transport.arrival import Bell
 from rclpy.callback_groups import CallbackGroup
-from rclpy.event_handler import SubscriptionEventCallbacks, UnsupportedEventTypeError
+from rclpy.event_handler import (
+    EventHandler, QoSSubscriptionEventType, SubscriptionEventCallbacks, UnsupportedEventTypeError,
+)
 from rclpy.exceptions import (
     InvalidHandle, InvalidParameterTypeException, ParameterException,
 )
@@ -145,6 +147,7 @@ class AdaptiveSubscription:
 
     def watch(self) -> None:
         """Look at the graph and be made anew if need be; to be called twice a second or so."""
+        self._count_losses()
         publishers = publishers_of(self._node, self.name)
         self.publishers = len(publishers)
         if publishers:
@@ -211,7 +214,7 @@ class AdaptiveSubscription:
         self._lost_since_made = 0
         self._heard_at = time.monotonic()
         # DDS refuses a second reader of the topic with another type support, so the old one first
-        self._node.destroy_subscription(self.subscription)
+        self._destroy(self.subscription)
         self.subscription = self._make()
 
     def _make(self, overrides: QoSOverridingOptions | None = None) -> Subscription:
@@ -222,23 +225,31 @@ class AdaptiveSubscription:
             qos_overriding_options=overrides,
             # what does not match is found by `watch`, for polled ones as well
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False))
+        # asked by `watch`; in the executor's wait set it would wake the executor at every message
         try:
-            handlers = SubscriptionEventCallbacks(
-                message_lost=self._on_lost, use_default_callbacks=False,
-            ).create_event_handlers(
-                self._node.default_callback_group, subscription.handle, self._topic)
+            self._losses = EventHandler(
+                callback_group=PolledGroup(), callback=None, parent_impl=subscription.handle,
+                event_type=QoSSubscriptionEventType.RCL_SUBSCRIPTION_MESSAGE_LOST)
         except UnsupportedEventTypeError:
-            handlers = []
-        subscription.event_handlers.extend(handlers)
-        for handler in handlers:
-            self._node.add_waitable(handler)
+            self._losses = None
         if self.rings and not self._bell.ring_for(subscription):
             # this middleware does not tell of new messages
             self._bell = None
-            self._node.destroy_subscription(subscription)
+            self._destroy(subscription)
             return self._make()
         return subscription
 
-    def _on_lost(self, lost: Any) -> None:
-        self.counts['lost'] += lost.total_count_change
-        self._lost_since_made += lost.total_count_change
+    def _destroy(self, subscription: Subscription) -> None:
+        if self._losses is not None:
+            self._losses.destroy()
+            self._losses = None
+        self._node.destroy_subscription(subscription)
+
+    def _count_losses(self) -> None:
+        if self._losses is None:
+            return
+        self._losses._ready_to_take_data = True
+        lost = self._losses.take_data()
+        if lost is not None:
+            self.counts['lost'] += lost.total_count_change
+            self._lost_since_made += lost.total_count_change

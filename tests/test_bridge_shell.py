@@ -5,6 +5,8 @@ from array import array
 import dataclasses
 import subprocess
 import sys
+import threading
+import time
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import Twist
@@ -14,12 +16,14 @@ from msgs_bridge.node_shell import NodeShell
 from msgs_bridge.settings import setting
 from msgs_bridge.transport import arrival
 import pytest
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Image
 from shell_pair import Pair
 from std_msgs.msg import UInt8MultiArray
 
 BEST_EFFORT = ReliabilityPolicy.BEST_EFFORT
+WaitSet = rclpy_implementation.WaitSet
 
 
 @dataclasses.dataclass(frozen=True)
@@ -202,6 +206,29 @@ def test_a_reader_is_made_anew_when_nothing_comes_after_a_flood(pair):
     finally:
         flood.kill()
         flood.wait()
+
+
+@pytest.mark.parametrize('kind', [Poller, Eager])
+def test_messages_that_somebody_else_takes_do_not_wake_the_executor(pair, monkeypatch, kind):
+    node = pair.start(kind)
+    camera = pair.offer(Image, 'image_raw')
+    pair.spin_until(lambda: node.images.matched, 5, 'the camera is found')
+    turns = []
+    wait = WaitSet.wait
+    monkeypatch.setattr(
+        WaitSet, 'wait', lambda wait_set, *timeout: turns.append(0) or wait(wait_set, *timeout))
+    pair.executors[0].spin_once(timeout_sec=0.2)
+    quiet = len(turns)
+    thread = threading.Thread(target=pair.executors[0].spin_once, kwargs={'timeout_sec': 0.5})
+    for timer in node.timers:
+        timer.cancel()
+    thread.start()
+    for _ in range(200):
+        camera.publish(Image())
+        time.sleep(0.001)
+    thread.join()
+    # it may notice once that there is a subscription with something in it
+    assert len(turns) - quiet < 20, len(turns)
 
 
 def test_what_waits_in_the_middleware_is_bounded_in_bytes(pair):

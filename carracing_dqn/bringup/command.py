@@ -21,6 +21,8 @@ SUBCOMMANDS = {
               'the whole learning graph, validation included'),
     'evaluate': ('carracing_dqn.bringup.evaluate_command',
                  'greedy laps on seeded tracks in the unmodified environment'),
+    'check': ('carracing_dqn.bringup.check_command',
+              'what of a running simulator or robot does not fit, and what mends it'),
     'report': ('carracing_dqn.evaluation.report_command',
                'figures and tables of the seed document from a run'),
     'bag': ('bags.command', 'record, play, info, verify, recover and export MCAP bags'),

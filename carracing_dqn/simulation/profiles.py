@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 import dataclasses
 import functools
+import math
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +41,8 @@ class Profile:
             number or truth value is handed on as YAML.
         vehicle: parameters of policy and trainer: camera, units and limits of the commands.
         topics: remaps, relative name -> name.
+        camera: what its images are like: `width`, `height`, `encoding`, `rate` in Hz by stamp,
+            `mean_rgb`; what `carracing check` compares with.
         training: `preset` and hyperparameters of `carracing train`.
     """
 
@@ -49,9 +52,22 @@ class Profile:
     settings: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     vehicle: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     topics: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    camera: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     training: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
 
+def _is_number(value: object) -> bool:
+    return type(value) in (int, float) and math.isfinite(value)
+
+
+CAMERA = {
+    'width': lambda value: type(value) is int and value > 0,
+    'height': lambda value: type(value) is int and value > 0,
+    'encoding': lambda value: isinstance(value, str),
+    'rate': lambda value: _is_number(value) and value > 0,
+    'mean_rgb': lambda value: (
+        isinstance(value, list) and len(value) == 3 and all(map(_is_number, value))),
+}
 KINDS = {'about': str, 'simulator': str, 'deterministic': bool}
 
 
@@ -97,7 +113,19 @@ def load_profile(path: Path) -> Profile:
         if type(value) is not kind or (kind is dict and not all(map(_is_name, value))):
             what = {str: 'a text', bool: 'true or false'}.get(kind, 'a mapping of names')
             raise SettingsError(f'{path}: {name} must be {what}')
+    _check_parts(path, content)
     return Profile(**content)
+
+
+def _check_parts(path: Path, content: dict[str, Any]) -> None:
+    """Raise SettingsError for a remap or a property of the camera that cannot be."""
+    if not all(isinstance(name, str) for name in content.get('topics', {}).values()):
+        raise SettingsError(f'{path}: topics must map names to names')
+    for name, value in content.get('camera', {}).items():
+        if name not in CAMERA:
+            raise SettingsError(f'{path}: camera: {unknown_setting(name, CAMERA)}')
+        if not CAMERA[name](value):
+            raise SettingsError(f'{path}: camera: {name} cannot be {value!r:.60}')
 
 
 def _is_name(key: object) -> bool:
