@@ -27,8 +27,10 @@ from rclpy.context import Context
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
-# others are found by then; Fast DDS announces itself several times in the first second
-FIND_SECONDS = 1.5
+# Fast DDS announces itself every 3 s, and one announcement may get lost
+FIND_SECONDS = 6.5
+# after the camera was found, the others are
+SETTLE_SECONDS = 1.0
 # a gentle start, then full lock, so that whatever steers shows it
 PHASES = (('', 0.4, Command(0.4, 0.0)), ('left', 0.3, Command(0.2, 1.0)),
           ('right', 0.3, Command(0.2, -1.0)))
@@ -92,7 +94,11 @@ class _Look:
         self._twist_at: float | None = None
 
     def run(self, seconds: float, nudge: bool) -> Seen:
-        self._spin(FIND_SECONDS)
+        found_by = time.monotonic() + FIND_SECONDS
+        while not publishers_of(self._node, self._seen.image_topic) and (
+                time.monotonic() < found_by):
+            self._spin(TURN)
+        self._spin(SETTLE_SECONDS)
         self._note_graph()
         compressed = self._settings.camera_compressed
         wanted = COMPRESSED_TYPE if compressed else IMAGE_TYPE

@@ -9,7 +9,7 @@ import statistics
 import numpy as np
 
 # what two frames must have in common to say anything, as a share of a perfect match
-CLEAR = 0.03
+CLEAR = 0.1
 # pixels a frame; less is noise
 LEAST_SHIFT = 0.05
 
