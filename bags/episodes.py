@@ -5,10 +5,13 @@ from __future__ import annotations
 
 import dataclasses
 
-from bags.topic_lookup import find_topic
+from bags.decode import decode_bundle
 from bags.reader import BagReader
 from bags.steps import decode_step
-from msgs_bridge.topics import STEP
+from bags.topic_lookup import find_topic
+from carracing_dqn.simulation.drive import LONGEST_FRAME, SHORTEST_FRAME
+from carracing_sim_node.controls import FRAME_SECONDS
+from msgs_bridge.topics import EPISODE, STEP
 
 
 @dataclasses.dataclass
@@ -37,6 +40,36 @@ class Episode:
     terminated: bool = False
     truncated: bool = False
     whole: bool = False
+
+
+def episode_constants(
+    reader: BagReader, *, namespace: str = '',
+) -> dict[int, dict[str, float]]:
+    """
+    Return episode -> what its `episode` messages say is constant for the run, and more.
+
+    Raises:
+        BagError: a damaged bag.
+        MessageError: an `episode` bundle that lacks what it must have.
+    """
+    name = find_topic(reader, EPISODE, namespace=namespace)
+    constants = {}
+    for message in reader.messages([name]) if name else ():
+        values = decode_bundle(message.data, name).values_with(('episode',))
+        constants[int(values['episode'])] = values
+    return constants
+
+
+def frame_seconds(reader: BagReader, *, namespace: str = '') -> float:
+    """
+    Return the simulated seconds of a frame, CarRacing's where the bag does not say it.
+
+    Raises:
+        BagError, MessageError: as `episode_constants`.
+    """
+    said = [values['frame_seconds'] for values in episode_constants(
+        reader, namespace=namespace).values() if 'frame_seconds' in values]
+    return said[0] if said and SHORTEST_FRAME <= said[0] <= LONGEST_FRAME else FRAME_SECONDS
 
 
 def find_episodes(reader: BagReader, *, namespace: str = '') -> list[Episode]:

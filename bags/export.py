@@ -10,6 +10,7 @@ import io
 import itertools
 from pathlib import Path
 
+from bags.episodes import frame_seconds
 from bags.errors import BagError
 from bags.frames import recorded_frames, RecordedFrame
 from bags.painter import FramePainter
@@ -17,14 +18,14 @@ from bags.reader import BagReader
 from msgs_bridge.atomic_write import atomic_file
 from msgs_bridge.stamps import NANOSECONDS
 
-# simulator frames a second of simulation time
-FRAME_RATE = 50
-# simulator frames that the last picture of an episode stays
-PAUSE = 25
+# seconds that the last picture of an episode stays
+PAUSE = 0.5
 CODEC = 'libx264'
 MAX_SCALE = 20
-# rows of a picture in the video
+# rows or columns of a picture in the video
 MAX_SIDE = 2160
+# what is drawn where the first image is missing: width and height of CarRacing's
+UNSEEN = (96, 96)
 
 
 def export_csv(
@@ -98,7 +99,8 @@ def export_video(
         raise BagError(f'scale is {scale}; accepted: 1 to {MAX_SCALE}')
     if not 0.01 <= speed <= 100:
         raise BagError(f'speed is {speed:g}; accepted: 0.01 to 100')
-    base = 1 / (FRAME_RATE * Fraction(speed).limit_denominator(1000))
+    seconds = frame_seconds(reader, namespace=namespace)
+    base = Fraction(seconds / speed).limit_denominator(100_000)
     painter: FramePainter | None = None
     pictures = time = 0
     q_values: dict[str, float] = {}
@@ -108,17 +110,17 @@ def export_video(
         stream.codec_context.time_base = base
         for frame in _chosen(reader, namespace, episode):
             if painter is None:
-                side = 96 if frame.pixels is None else frame.pixels.shape[0]
-                if side * scale > MAX_SIDE:
-                    raise BagError(f'a frame of {side} rows, {scale} times as large; accepted: '
-                                   f'up to {MAX_SIDE}')
-                painter = FramePainter(side, scale)
+                width, height = UNSEEN if frame.pixels is None else frame.pixels.shape[1::-1]
+                if max(width, height) * scale > MAX_SIDE:
+                    raise BagError(f'a frame of {width}x{height}, {scale} times as large; '
+                                   f'accepted: up to {MAX_SIDE} to a side')
+                painter = FramePainter(width, height, scale)
                 stream.width, stream.height = painter.width, painter.height
             # the last frame of an episode leads to no decision
             q_values = frame.q_values or q_values
             picture = av.VideoFrame.from_ndarray(painter.paint(frame, q_values), format='rgb24')
             if pictures:
-                time += int(frame.step.info.get('frames', 1)) or PAUSE
+                time += int(frame.step.info.get('frames', 1)) or round(PAUSE / seconds)
             picture.pts, picture.time_base = time, base
             container.mux(stream.encode(picture))
             pictures += 1

@@ -26,12 +26,12 @@ BLUE = (95, 150, 220)
 class FramePainter:
     """Paints frames of one size."""
 
-    def __init__(self, side: int, scale: int) -> None:
-        """Prepare pictures of frames of `side` pixels, `scale` times as large."""
-        self._picture = side * scale
+    def __init__(self, width: int, height: int, scale: int) -> None:
+        """Prepare pictures of frames of some pixels, `scale` times as large."""
+        self._picture = width * scale, height * scale
         # encoders want even numbers
-        self.width = self._picture + PANEL_WIDTH + self._picture % 2
-        self.height = max(self._picture, 384) + max(self._picture, 384) % 2
+        self.width = self._picture[0] + PANEL_WIDTH + self._picture[0] % 2
+        self.height = max(self._picture[1], 384) + max(self._picture[1], 384) % 2
         self._font = ImageFont.load_default(FONT_SIZE)
 
     def paint(self, frame: RecordedFrame, q_values: dict[str, float]) -> np.ndarray:
@@ -45,9 +45,9 @@ class FramePainter:
         canvas = Image.new('RGB', (self.width, self.height), BACKGROUND)
         if frame.pixels is not None:
             picture = Image.fromarray(np.ascontiguousarray(frame.pixels))
-            canvas.paste(picture.resize((self._picture, self._picture), Image.Resampling.NEAREST))
+            canvas.paste(picture.resize(self._picture, Image.Resampling.NEAREST))
         draw = ImageDraw.Draw(canvas)
-        left = self._picture + MARGIN
+        left = self._picture[0] + MARGIN
         top = self._numbers(draw, frame.step, left)
         top = self._controls(draw, frame.step.info, left, top)
         self._q_values(draw, q_values, left, top)

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from bags.decode import decode_bundle
+from bags.episodes import episode_constants
 from bags.errors import BagError
 from bags.frames import recorded_frames, RecordedFrame
 from bags.reader import BagReader
@@ -31,7 +31,7 @@ from msgs_bridge.errors import BridgeError, MessageError, SimulatorError
 from msgs_bridge.settings import describe, from_mapping
 from msgs_bridge.simulator import Outcome, Simulator
 from msgs_bridge.stamps import NANOSECONDS
-from msgs_bridge.topics import EPISODE, STEP
+from msgs_bridge.topics import STEP
 from msgs_bridge.twists import Command
 
 # when the bag's provenance does not say
@@ -91,7 +91,7 @@ class Resimulator:
         self._reader = reader
         self._namespace = namespace
         self._given = _simulator_settings(reader)
-        self._constants = _constants(reader, namespace)
+        self._constants = episode_constants(reader, namespace=namespace)
         named = simulator or self._given.get('simulator')
         name = str(named or DEFAULT)
         self._named = named is not None
@@ -263,18 +263,6 @@ class Resimulator:
                 f'episode {step.episode}, decision {step.decision}, step '
                 f'message {frame.number}, simulation time {frame.stamp / NANOSECONDS:.2f} s: '
                 f'{what}')
-
-
-def _constants(reader: BagReader, namespace: str) -> dict[int, dict[str, float]]:
-    """Return episode -> what its `episode` messages say is constant for the run, and more."""
-    name = find_topic(reader, EPISODE, namespace=namespace)
-    if name is None:
-        return {}
-    constants = {}
-    for message in reader.messages([name]):
-        values = decode_bundle(message.data, name).values_with(('episode',))
-        constants[int(values['episode'])] = values
-    return constants
 
 
 def _frame_limit(reader: BagReader, namespace: str) -> int:

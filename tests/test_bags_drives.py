@@ -15,6 +15,7 @@ from bags.decode import decode_bundle, decode_image
 from bags.episodes import find_episodes
 from bags.errors import BagError
 from bags.export import export_csv, export_video
+from bags.frames import recorded_frames
 from bags.info import bag_info
 from bags.reader import BagReader
 from bags.schemas import Schema
@@ -294,6 +295,24 @@ def test_video_shows_every_frame_for_as_long_as_it_lasted(tmp_path, drive):
         shown = frames[20].to_ndarray(format='rgb24')[:384:4, :384:4].astype(int)
     recorded = list(bag_transitions([drive]))[40 + 20].frame.astype(int)
     assert np.abs(shown - recorded).mean() < 12
+
+
+def test_video_of_another_simulator_has_its_size_and_its_pace(tmp_path):
+    bag = record_drive(tmp_path / 'bag', episodes=1, settings={'simulator': 'toy_simulator:Toy'})
+    with BagReader(bag) as reader:
+        pictures = export_video(reader, tmp_path / 'toy.mp4', scale=4)
+        with pytest.raises(BagError, match='a frame of 48x32, 50 times|scale is 50'):
+            export_video(reader, tmp_path / 'large.mp4', scale=50)
+    with av.open(str(tmp_path / 'toy.mp4')) as container:
+        frames = list(container.decode(container.streams.video[0]))
+    assert len(frames) == pictures > 3
+    # two rows of numbers and bars need more room than 4 x 32 rows
+    assert (frames[0].width, frames[0].height) == (48 * 4 + 320, 384)
+    assert frames[2].time - frames[1].time == pytest.approx(0.05, abs=1e-3)
+    with BagReader(bag) as reader:
+        recorded = [frame.pixels.astype(int) for frame in recorded_frames(reader)]
+    shown = frames[1].to_ndarray(format='rgb24')[:128:4, :192:4].astype(int)
+    assert np.abs(shown - recorded[1]).mean() < 12
 
 
 def test_commands_answer_with_one_line_and_a_code(tmp_path, drive, capsys):

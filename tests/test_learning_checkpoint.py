@@ -353,3 +353,23 @@ def test_resume_point_says_what_a_resume_would(run):
         resume_point(run.path, tiny(hidden=16))
     record = json.loads(run.record.read_text())
     assert len(record['sessions']) == 1
+
+
+def test_two_processes_do_not_learn_into_one_folder(run):
+    code = ('import sys\nfrom trainer_node.run_folder import RunFolder\n'
+            'RunFolder(sys.argv[1]).lock()\nprint("locked", flush=True)\nsys.stdin.read()')
+    other = subprocess.Popen([sys.executable, '-c', code, str(run.path)],
+                             stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    try:
+        other.stdout.readline()
+        rows = run.episodes.read_bytes()
+        for resumed in (True, False):
+            with pytest.raises(RunError, match='another process learns into it'):
+                open_training(run.path, tiny(), resume=resumed, device='cpu')
+        assert run.episodes.read_bytes() == rows
+    finally:
+        other.kill()
+        other.communicate()
+    # it ends with its process, however that ends; the same process may open it again
+    for _ in range(2):
+        run.lock()

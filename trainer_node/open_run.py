@@ -85,6 +85,12 @@ def open_training(
     """
     # on first use, because torch takes a second to load
     from trainer_node.training import Training
-    if resume and not RunFolder(folder).unfinished_start:
+    run = RunFolder(folder)
+    if run.path.is_dir():
+        # before anything of another one's is touched
+        run.lock()
+    if resume and not run.unfinished_start:
         return Training.resume(folder, settings, **options)
-    return Training.create(settings, folder, **options)
+    training = Training.create(settings, folder, **options)
+    run.lock()
+    return training

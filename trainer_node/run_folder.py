@@ -8,7 +8,9 @@ The folder of a run: what lies where.
 from __future__ import annotations
 
 from datetime import datetime, timezone
+import fcntl
 import json
+import os
 from pathlib import Path
 import tempfile
 from typing import Any
@@ -18,6 +20,10 @@ from msgs_bridge.regular_file import read_regular
 from trainer_node.errors import RunError
 
 MAX_RECORD_BYTES = 16 * 2**20
+
+# folders that this process learns into, by what the system knows them by; open until it ends
+_locked: dict[tuple[int, int], int] = {}
+
 
 class RunFolder:
     """Paths of a run folder, and its `run.json`."""
@@ -57,6 +63,33 @@ class RunFolder:
             self.checkpoint.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise RunError(f'{self.path}: {error.strerror}') from None
+
+    def lock(self) -> None:
+        """
+        Keep other processes from learning into the folder until this one ends.
+
+        Raises:
+            RunError: another one does already.
+        """
+        try:
+            handle = os.open(self.path, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        except OSError as error:
+            raise RunError(f'{self.path}: {error.strerror}') from None
+        found = os.fstat(handle)
+        place = found.st_dev, found.st_ino
+        if place in _locked:
+            os.close(handle)
+            return
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(handle)
+            raise RunError(f'{self.path}: another process learns into it') from None
+        except OSError:
+            # a file system without locks
+            os.close(handle)
+            return
+        _locked[place] = handle
 
     def check_writable(self) -> None:
         """
