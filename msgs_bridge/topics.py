@@ -68,3 +68,17 @@ DIAGNOSTICS = Topic('/diagnostics', 'diagnostic_msgs/msg/DiagnosticArray', 'ever
                     '1 Hz health: rates, drops, rejects')
 
 TOPICS = (IMAGE, STEP, REWARD, EPISODE, CMD_VEL, Q_VALUES, WEIGHTS, VALIDATION, CLOCK, DIAGNOSTICS)
+
+# what a referee judges a robot by; REP-105 names the frames
+ODOMETRY = Topic('odom', 'nav_msgs/msg/Odometry', 'a robot', BURST_DEPTH,
+                 'where it is; stamped by the clock of `image_raw`')
+COLLISION = Topic('collision', 'std_msgs/msg/Bool', 'a robot', BURST_DEPTH,
+                  'true when it has touched something')
+LANE_OFFSET = Topic('lane_offset', 'std_msgs/msg/Float32', 'a robot', BURST_DEPTH,
+                    'm from the middle of its lane')
+GOAL_DISTANCE = Topic('goal_distance', 'std_msgs/msg/Float32', 'a robot', BURST_DEPTH,
+                      'm to go')
+PATH = Topic('path', 'nav_msgs/msg/Path', 'a planner', 1,
+             'what to follow, in the frame of `odom`; closed if its ends meet', latched=True)
+
+ROBOT_TOPICS = (ODOMETRY, COLLISION, LANE_OFFSET, GOAL_DISTANCE, PATH)

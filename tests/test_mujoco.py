@@ -149,7 +149,7 @@ def test_the_rules_end_an_episode_and_a_robot_has_none():
     outcome = short.advance(Command(0.1, 0.0), 50)
     assert (outcome.truncated, outcome.terminated, outcome.frames) == (True, False, 10)
     short.close()
-    robot = make_simulator('mujoco_car', {'max_episode_frames': 10, 'rules': False})
+    robot = make_simulator('mujoco_robot', {'max_episode_frames': 10})
     robot.reset(0)
     outcome = robot.advance(Command(0.6, 0.0), 400)
     assert outcome.frames == 400 and outcome.reward == 0 and not outcome.terminated

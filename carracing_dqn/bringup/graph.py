@@ -58,8 +58,11 @@ RECORDER = NodeKind(
     hears_all=True, keeps=True)
 PLAYER = NodeKind(
     'bag_player_node', 'player', 'bags.player_node', 'bags.settings:PlayerSettings')
+REFEREE = NodeKind(
+    'referee_node', 'referee', 'carracing_dqn.simulation.referee_node',
+    'carracing_dqn.simulation.referee_settings:RefereeSettings')
 
-KINDS = (SIMULATOR, POLICY, TRAINER, VALIDATOR, RECORDER, PLAYER)
+KINDS = (SIMULATOR, POLICY, TRAINER, VALIDATOR, RECORDER, PLAYER, REFEREE)
 """Every node of the package."""
 
 

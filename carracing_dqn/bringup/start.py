@@ -50,6 +50,8 @@ def _allow_open_files() -> int:
 carracing = _starting('carracing_dqn.bringup.command', INTERRUPTED)
 carracing_sim_node = _starting('carracing_sim_node.node')
 gymnasium_sim_node = _starting('carracing_dqn.simulators.gymnasium_node')
+mujoco_robot_node = _starting('carracing_dqn.simulators.mujoco_robot_node')
+referee_node = _starting('carracing_dqn.simulation.referee_node')
 dqn_policy_node = _starting('dqn_policy_node.node')
 trainer_node = _starting('trainer_node.node')
 validation_node = _starting('carracing_dqn.evaluation.node')

@@ -19,7 +19,7 @@ Wall time decides about all of it, so that `use_sim_time` changes nothing.
 """
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 import functools
 import time
 
@@ -36,6 +36,7 @@ from msgs_bridge.node_shell import Finished, NodeShell
 from msgs_bridge.stamps import NANOSECONDS, set_stamp, to_nanoseconds
 from msgs_bridge.twists import read_command
 from rclpy.duration import Duration
+from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image, JointState
 from std_msgs.msg import Float32
@@ -52,7 +53,13 @@ LAST_WORDS = Duration(seconds=1)
 
 
 class SimulatorNode(NodeShell):
-    """A simulator as a node; `Drive` does the driving, `Stepping` says when."""
+    """
+    A simulator as a node; `Drive` does the driving, `Stepping` says when.
+
+    Attributes:
+        drive: the episodes.
+        must_arrive: publishers whose last message is waited for at the end.
+    """
 
     def __init__(self, name: str = 'simulator_node', simulator: str = DEFAULT) -> None:
         """
@@ -73,9 +80,7 @@ class SimulatorNode(NodeShell):
         self._lockstep = settings.stepping == 'lockstep'
         self._stepping = (Lockstep if self._lockstep else RealTime)(self.drive, self)
         self._image_publisher = self.publisher(topics.IMAGE)
-        self._step_publisher = self.publisher(topics.STEP)
-        self._reward_publisher = self.publisher(topics.REWARD)
-        self._episode_publisher = self.publisher(topics.EPISODE)
+        self.must_arrive = (self._image_publisher, *self.open_outlets())
         self._clock_publisher = None
         stamped = settings.cmd_vel_stamped
         self._cmd_vel = self.subscription(
@@ -91,6 +96,19 @@ class SimulatorNode(NodeShell):
         self._timer = self.create_timer(BEAT_SECONDS, self._start_when_ready)
         self.get_logger().info(
             f'{simulator.description or settings.simulator}, {settings.stepping}')
+
+    def open_outlets(self) -> Sequence[Publisher]:
+        """
+        Create the publishers of what a simulator says beside its image.
+
+        Returns:
+            those whose last message must arrive; before the first frame the subscriptions of the
+            first of them are waited for, too.
+        """
+        self._step_publisher = self.publisher(topics.STEP)
+        self._reward_publisher = self.publisher(topics.REWARD)
+        self._episode_publisher = self.publisher(topics.EPISODE)
+        return self._step_publisher, self._episode_publisher
 
     def _start_when_ready(self) -> None:
         """Publish the first frame once those who must see it have been there for a moment."""
@@ -126,7 +144,7 @@ class SimulatorNode(NodeShell):
         wanted = self.settings.wait_for_subscribers
         return (
             self._image_publisher.get_subscription_count() >= wanted + self._lockstep
-            and self._step_publisher.get_subscription_count() >= wanted
+            and all(one.get_subscription_count() >= wanted for one in self.must_arrive[1:2])
             and (not self._lockstep or self._cmd_vel.matched > 0)
         )
 
@@ -153,10 +171,7 @@ class SimulatorNode(NodeShell):
     def send_frame(self, frame: Frame) -> None:
         """Publish one frame; the image goes first, so that the policy thinks meanwhile."""
         self.send_again(frame)
-        if self._clock_publisher is not None:
-            clock = Clock()
-            set_stamp(clock.clock, frame.stamp)
-            self._clock_publisher.publish(clock)
+        self.send_clock(frame.stamp)
         step = frame.step
         if frame.episode is not None and not step.ended:
             self.send_episode(frame.episode, frame.stamp)
@@ -164,6 +179,13 @@ class SimulatorNode(NodeShell):
         self._reward_publisher.publish(Float32(data=float(step.reward)))
         if frame.episode is not None and step.ended:
             self.send_episode(frame.episode, frame.stamp)
+
+    def send_clock(self, stamp: int) -> None:
+        """Publish what time it is, if this node is the one that does."""
+        if self._clock_publisher is not None:
+            clock = Clock()
+            set_stamp(clock.clock, stamp)
+            self._clock_publisher.publish(clock)
 
     def send_again(self, frame: Frame) -> None:
         """Publish the image of a frame."""
@@ -260,7 +282,7 @@ class SimulatorNode(NodeShell):
 
     def close(self) -> None:
         """Let the last frame arrive, then let go of the simulator."""
-        for publisher in (self._step_publisher, self._image_publisher, self._episode_publisher):
+        for publisher in self.must_arrive:
             try:
                 publisher.wait_for_all_acked(LAST_WORDS)
             except Exception:

@@ -34,6 +34,7 @@ SIMULATORS = {
     'gymnasium': 'carracing_sim_node.stock:GymnasiumCarRacing',
     'gymnasium_env': 'carracing_dqn.simulators.gymnasium_env:GymnasiumEnv',
     'mujoco': 'carracing_dqn.simulators.mujoco_car:MujocoCar',
+    'mujoco_robot': 'carracing_dqn.simulators.mujoco_car:MujocoRobot',
 }
 GROUP = 'carracing_dqn.simulators'
 DEFAULT = 'carracing'

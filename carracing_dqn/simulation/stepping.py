@@ -327,6 +327,9 @@ class Lockstep(Stepping):
     def reset(self) -> tuple[bool, str]:
         """Begin the next episode; what was answered before it means nothing any more."""
         self._answer = self._held = None
+        if self.frame is not None:
+            # whose answer may be on its way
+            self._final_stamp = self.frame.stamp
         return super().reset()
 
     def _awaits(self) -> str:

@@ -40,8 +40,6 @@ class MujocoCarSettings:
     picture_height: int = setting(96, 'rows of a frame', low=8, high=1024)
     max_episode_frames: int = setting(
         1000, 'frames of 50 ms after which an episode is truncated', low=1, high=10**6)
-    rules: bool = setting(
-        True, 'false: no reward and no end, as of a robot; a referee says both')
     frame_id: str = setting('camera', 'frame_id of the images')
 
 
@@ -54,6 +52,7 @@ class MujocoCar(Simulator):
     """
 
     Settings = MujocoCarSettings
+    rules = True
     frame_seconds = FRAME_STEPS * world.STEP_SECONDS
     deterministic = True
 
@@ -116,7 +115,7 @@ class MujocoCar(Simulator):
             passed += 1
             self._frame += 1
             earned = self._visit()
-            if self._settings.rules:
+            if self.rules:
                 failed = self._left_field or self._tipped
                 reward += earned - FRAME_PENALTY - failed * FIELD_PENALTY
                 terminated = failed or self._lap_finished
@@ -217,3 +216,19 @@ class MujocoCar(Simulator):
             'lap_finished': float(self._lap_finished), 'left_field': float(self._left_field),
             # touched a wall since the frame before
             'contact': float(self._contact)}
+
+
+@dataclasses.dataclass(frozen=True)
+class MujocoRobotSettings(MujocoCarSettings):
+    """What can be set on MuJoCo's car as a robot."""
+
+    publish_path: bool = setting(
+        False, 'true: the node publishes the centre line on path, as the planner of a robot '
+        'with a map would')
+
+
+class MujocoRobot(MujocoCar):
+    """The car as a robot, which knows no reward and no end: a referee says both."""
+
+    Settings = MujocoRobotSettings
+    rules = False

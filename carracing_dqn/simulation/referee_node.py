@@ -1,0 +1,222 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+referee_node: the rewards and the ends of a robot that has none.
+
+Purpose: publish `step` and `episode` for the images of a robot, judged by topics that robots have,
+so that trainer_node learns from it.
+
+Subscribes: `image_raw` (its stamps), `cmd_vel` (TwistStamped, with the stamps of the images that
+it answers), and of `odom`, `path`, `collision`, `lane_offset` and `goal_distance` those that a
+term needs. Publishes: `step`, `reward`, `episode`, `/diagnostics`. Services: `~/reset`
+(std_srvs/Trigger) cuts the episode off. Calls: `reset_service` of the robot after each episode.
+Parameters: `carracing_dqn/simulation/referee_settings.py`.
+
+Behaviour when things go wrong: frames for which something is missing get no step, and log and
+diagnostics name the topic and the term that needs it; numbers that are not finite are counted and
+logged (throttled); a reset that is refused or not answered is asked for again.
+"""
+from __future__ import annotations
+
+import functools
+import math
+import sys
+import time
+
+from carracing_dqn.simulation.referee import (
+    COLLISION, GOAL, Judgement, LANE_OFFSET, ODOM, Pose, Referee, THE_PATH,
+)
+from carracing_dqn.simulation.referee_settings import RefereeSettings
+from diagnostic_msgs.msg import DiagnosticStatus
+from msgs_bridge import topics
+from msgs_bridge.errors import MessageError, SettingsError
+from msgs_bridge.named_values import fill_named_values
+from msgs_bridge.node_shell import NodeShell, run_node
+from msgs_bridge.stamps import to_nanoseconds
+from msgs_bridge.twists import read_command
+import numpy as np
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float32
+from std_srvs.srv import Trigger
+
+# how often frames that wait for something are looked at again; s
+BEAT_SECONDS = 0.01
+
+
+class RefereeNode(NodeShell):
+    """Hears a robot and says what `Referee` makes of it."""
+
+    def __init__(self) -> None:
+        """
+        Declare the parameters and subscribe to what is needed.
+
+        Raises:
+            SettingsError: a parameter that is unknown or not accepted.
+        """
+        super().__init__('referee_node', RefereeSettings)
+        settings = self.settings
+        self._referee = Referee(settings)
+        self._step_publisher = self.publisher(topics.STEP)
+        self._reward_publisher = self.publisher(topics.REWARD)
+        self._episode_publisher = self.publisher(topics.EPISODE)
+        heard = {ODOM: (topics.ODOMETRY, self._on_odometry),
+                 THE_PATH: (topics.PATH, self._on_path),
+                 COLLISION: (topics.COLLISION, self._on_collision),
+                 LANE_OFFSET: (topics.LANE_OFFSET, self._number_of(LANE_OFFSET)),
+                 GOAL: (topics.GOAL_DISTANCE, self._number_of(GOAL))}
+        # taken with each image, whichever of them the executor would call first
+        self._inputs = {
+            name: self.subscription(*heard[name], polled=True) for name in self._referee.needed}
+        self._twists = self.subscription(topics.CMD_VEL, self._on_twist, polled=True)
+        self.subscription(
+            topics.IMAGE, self._on_image,
+            type_name='sensor_msgs/msg/CompressedImage' if settings.camera_compressed else None)
+        self.create_service(Trigger, '~/reset', self._on_reset)
+        self._reset = None
+        if settings.reset_service:
+            try:
+                self._reset = self.create_client(Trigger, settings.reset_service)
+            except Exception as error:
+                # rclpy has a class of its own for each way in which a name is none
+                raise SettingsError(f'reset_service: {error}'.splitlines()[0]) from None
+        self._asked_again_at = 0.0
+        self._asked: object = None
+        self._open = settings.wait_for_subscribers == 0
+        self.create_timer(BEAT_SECONDS, self._beat)
+        self.get_logger().info(
+            f'judging by {", ".join(self._referee.needed) or "nothing but time"}')
+
+    def _on_image(self, message: object) -> None:
+        stamp = _stamp_of(message)
+        if self._open:
+            self._take_inputs()
+            self._referee.see_image(stamp, time.monotonic())
+            self._beat()
+
+    def _on_twist(self, message: object) -> None:
+        self._referee.hear_twist(_stamp_of(message), read_command(message.twist))
+
+    def _on_odometry(self, message: object) -> None:
+        pose = message.pose.pose
+        turn = pose.orientation
+        yaw = math.atan2(2 * (turn.w * turn.z + turn.x * turn.y),
+                         1 - 2 * (turn.y * turn.y + turn.z * turn.z))
+        self._referee.hear_odometry(
+            _stamp_of(message), Pose(pose.position.x, pose.position.y, yaw))
+
+    def _on_path(self, message: object) -> None:
+        points = [(one.pose.position.x, one.pose.position.y) for one in message.poses]
+        self._referee.hear_path(np.array(points, float).reshape(-1, 2))
+
+    def _on_collision(self, message: object) -> None:
+        self._referee.hear_collision(message.data)
+
+    def _number_of(self, topic: str) -> object:
+        def hear(message: object) -> None:
+            self._referee.hear_number(topic, message.data, time.monotonic())
+        return hear
+
+    def _beat(self) -> None:
+        """Take what has come and say what can be said."""
+        if not self._open:
+            self._open = (self._step_publisher.get_subscription_count()
+                          >= self.settings.wait_for_subscribers)
+            return
+        self._take_inputs()
+        referee = self._referee
+        referee.published = {name for name, one in self._inputs.items() if one.matched}
+        for judgement in referee.judge(time.monotonic()):
+            self._send(judgement)
+        for topic, text in referee.missing.items():
+            self.warn_of(topic, text)
+        if referee.resetting:
+            self._ask_for_reset()
+
+    def _take_inputs(self) -> None:
+        for subscription in (*self._inputs.values(), self._twists):
+            while self.take(subscription):
+                pass
+
+    def _send(self, judgement: Judgement) -> None:
+        stamp, step, episode = judgement.stamp, judgement.step, judgement.episode
+        send_episode = functools.partial(
+            self._episode_publisher.publish,
+            episode and fill_named_values(JointState(), episode, stamp))
+        if episode is not None and step is not None and not step.ended:
+            send_episode()
+        if step is not None:
+            self._step_publisher.publish(fill_named_values(JointState(), step.values(), stamp))
+            self._reward_publisher.publish(Float32(data=float(step.reward)))
+        if episode is not None and (step is None or step.ended):
+            send_episode()
+
+    def _ask_for_reset(self) -> None:
+        now = time.monotonic()
+        if now < self._asked_again_at:
+            return
+        self._asked_again_at = now + self.settings.reset_retry
+        if not self._reset.service_is_ready():
+            self.warn_of('reset_service', f'{self.settings.reset_service} is not there')
+            # it may come at any moment
+            self._asked_again_at = now + 0.1
+            return
+        if self._asked is not None:
+            self.warn_of('reset_service', 'it did not answer: asking again')
+            self._reset.remove_pending_request(self._asked)
+        self._asked = self._reset.call_async(Trigger.Request())
+        self._asked.add_done_callback(self._on_reset_answer)
+
+    def _on_reset_answer(self, future: object) -> None:
+        answer = future.result()
+        self._asked = None
+        if answer is None:
+            return
+        if answer.success:
+            self.counts['resets'] += 1
+            self._asked_again_at = 0.0
+            self._referee.reset_done()
+        else:
+            self.warn_of('reset_service', f'refused: {answer.message}')
+
+    def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        judgement = self._referee.cut_off()
+        response.success = judgement is not None
+        response.message = 'no episode is running'
+        if judgement is not None:
+            self._send(judgement)
+            response.message = f'episode {self._referee.episode} is cut off'
+        return response
+
+    def health(self) -> tuple[bytes, str, dict[str, object]]:
+        """Return what is judged and what it waits for."""
+        referee = self._referee
+        values = {'episode': referee.episode, 'judges_by': ', '.join(referee.needed),
+                  **referee.counts}
+        if not self._open:
+            return DiagnosticStatus.WARN, 'waiting for subscriptions of step', values
+        unpublished = [name for name, one in self._inputs.items() if not one.matched]
+        if unpublished:
+            told = '; '.join(f'{name}: nobody publishes it, {referee.needed[name]} needs it'
+                             for name in unpublished)
+            return DiagnosticStatus.WARN, f'not judging: {told}', values
+        if referee.resetting:
+            return DiagnosticStatus.OK, 'waiting for the reset of the robot', values
+        if not referee.running:
+            return DiagnosticStatus.OK, 'waiting for the next episode', values
+        return DiagnosticStatus.OK, 'judging', values
+
+
+def _stamp_of(message: object) -> int:
+    stamp = to_nanoseconds(message.header.stamp)
+    if stamp < 0:
+        raise MessageError(f'a stamp of {message.header.stamp.sec} s')
+    return stamp
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node until it is stopped."""
+    return run_node(RefereeNode, args)
+
+
+if __name__ == '__main__':
+    sys.exit(main())
