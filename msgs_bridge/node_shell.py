@@ -133,6 +133,12 @@ class NodeShell(Node):
         self._topic_publishers.append((topic, publisher))
         return publisher
 
+    def destroy_publisher(self, publisher: Publisher) -> bool:
+        """Destroy a publisher, which is no longer held against the graph."""
+        self._topic_publishers = [
+            one for one in self._topic_publishers if one[1] is not publisher]
+        return super().destroy_publisher(publisher)
+
     def subscription(
         self, topic: Topic, callback: Callable[[Any], None], *, type_name: str | None = None,
         depth: int | None = None, polled: bool = False, eager: bool = False,

@@ -277,3 +277,13 @@ def test_texts_from_outside_are_cut(pair):
     pair.spin_until(lambda: pair.status, 5, 'diagnostics')
     assert len(pair.status.message) == 300 and '\x1b' not in pair.status.message
     assert len(pair.value('x')) == 200 and '\x1b' not in pair.value('x')
+
+
+def test_a_publisher_that_is_gone_is_no_misfit():
+    pair = Pair()
+    try:
+        shell = pair.start(Listener)
+        shell.destroy_publisher(shell.twists)
+        shell.publish_diagnostics()
+    finally:
+        pair.stop()

@@ -8,6 +8,7 @@ their markers; a test holds the pages to them.
 """
 from __future__ import annotations
 
+from collections.abc import Sequence
 import importlib
 from pathlib import Path
 import re
@@ -18,7 +19,7 @@ from carracing_sim_node import info_fields
 from msgs_bridge import step
 from msgs_bridge.atomic_write import write_text
 from msgs_bridge.settings import markdown_table
-from msgs_bridge.topics import TOPICS
+from msgs_bridge.topics import ROBOT_TOPICS, Topic, TOPICS
 
 SETTINGS = {
     'every_node': ('msgs_bridge.node_shell', 'ShellSettings'),
@@ -32,13 +33,14 @@ FIELDS = {
     'carracing_info': info_fields.STEP_INFO,
     'carracing_constants': info_fields.CONSTANTS,
 }
+TOPIC_TABLES = {'topics': TOPICS, 'robot_topics': ROBOT_TOPICS}
 MARKED = re.compile(r'(<!-- table: (\w+) -->\n).*?(<!-- end -->)', re.DOTALL)
 
 
-def topics_table() -> str:
-    """Return the topic contract as a Markdown table."""
+def topics_table(topics: Sequence[Topic]) -> str:
+    """Return topics as a Markdown table."""
     lines = ['| topic | type | from | QoS | content |', '|---|---|---|---|---|']
-    for topic in TOPICS:
+    for topic in topics:
         qos = 'reliable' if topic.reliable else 'best effort'
         if topic.latched:
             qos += ', transient local'
@@ -52,8 +54,8 @@ def table(name: str) -> str:
     if name in FIELDS:
         rows = [f'| `{field}` | {text} |' for field, text in FIELDS[name].items()]
         return '\n'.join(['| name | meaning |', '|---|---|', *rows])
-    if name == 'topics':
-        return topics_table()
+    if name in TOPIC_TABLES:
+        return topics_table(TOPIC_TABLES[name])
     module, settings = SETTINGS[name]
     found = getattr(importlib.import_module(module), settings)
     # the settings of a simulator node are those of the simulator, too, by default of CarRacing
