@@ -35,6 +35,7 @@ SIMULATORS = {
     'gymnasium_env': 'carracing_dqn.simulators.gymnasium_env:GymnasiumEnv',
     'mujoco': 'carracing_dqn.simulators.mujoco_car:MujocoCar',
     'mujoco_robot': 'carracing_dqn.simulators.mujoco_car:MujocoRobot',
+    'pyracerz': 'carracing_dqn.simulators.pyracerz:PyRacerz',
 }
 GROUP = 'carracing_dqn.simulators'
 DEFAULT = 'carracing'
