@@ -16,9 +16,9 @@ from carracing_sim_node.panel import BAR_COLOURS, bars, ScoreText
 from carracing_sim_node.scanline import draw_frame, make_scratch, OUT, PANEL_ROWS
 from carracing_sim_node.simulation import Simulation
 from carracing_sim_node.track_geometry import pack_rgb
-from gymnasium.envs.box2d.car_dynamics import Car
+from gymnasium.envs.box2d.car_dynamics import Car, SIZE, WHEELPOS
 from gymnasium.envs.box2d.car_racing import (
-    GRASS_DIM, PLAYFIELD, SCALE, TRACK_DETAIL_STEP, WINDOW_H, WINDOW_W, ZOOM,
+    GRASS_DIM, PLAYFIELD, SCALE, WINDOW_H, WINDOW_W, ZOOM,
 )
 import numpy as np
 
@@ -36,21 +36,18 @@ CAR_ROW = OUT * 3 // 4
 PANEL_ROW = OUT - PANEL_ROWS * OUT // WINDOW_H
 """First row of the instrument panel."""
 
-GRASS_UNITS = GRASS_DIM
-TILE_UNITS = TRACK_DETAIL_STEP
-"""Side of a patch of grass, and length of a tile of road, in units."""
-
 # of the hinges of the front wheels, and of the motors that turn them (Box2D): rad, rad/s, 1/s
 _LOCK, _TURNING, _STIFFNESS = 0.4, 3.0, 50.0
+# from the front axle to the rear one, in units
+_WHEELBASE = SIZE * (max(y for _, y in WHEELPOS) - min(y for _, y in WHEELPOS))
 
 
 class Palette:
     """
-    The colours, uint8 rgb.
+    The colours of the ground, uint8 rgb.
 
     Attributes:
         field, grass: the two greens.
-        road: (3, 3), one for each of three tiles that follow each other, not yet visited.
     """
 
     def __init__(self) -> None:
@@ -58,15 +55,12 @@ class Palette:
         world = Simulation()
         self.field = world.bg_color.astype(np.uint8)
         self.grass = world.grass_color.astype(np.uint8)
-        # what `_create_track` adds to the colour of a tile
-        self.road = np.array(
-            [world.road_color + 0.01 * (tile % 3) * 255 for tile in range(3)]).astype(np.uint8)
         world.close()
 
 
 def grass_at(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Return whether the lighter green covers some places, in units."""
-    across, up = (np.floor(place / GRASS_UNITS).astype(int) % 2 == 0 for place in (x, y))
+    across, up = (np.floor(place / GRASS_DIM).astype(int) % 2 == 0 for place in (x, y))
     return across & up
 
 
@@ -134,8 +128,6 @@ class SteeringColumn:
         angle: left positive, rad.
     """
 
-    lock = _LOCK
-
     def __init__(self) -> None:
         """Begin straight."""
         self.angle = 0.0
@@ -150,3 +142,7 @@ class SteeringColumn:
         rate = math.copysign(min(_STIFFNESS * abs(error), _TURNING), error)
         self.angle = min(max(self.angle + rate * seconds, -_LOCK), _LOCK)
         return self.angle
+
+    def turning(self, speed: float) -> float:
+        """Return how fast wheels that do not slide turn a car of some units/s, rad/s."""
+        return speed * math.tan(self.angle) / _WHEELBASE

@@ -10,12 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 import dataclasses
+import itertools
 import math
 from typing import Any
 
 from carracing_dqn.simulators.pyracerz_game import load_game
 from carracing_dqn.simulators.pyracerz_views import CarRacingView, RawView
-from carracing_sim_node.appearance import SteeringColumn
+from carracing_sim_node.appearance import PIXELS_PER_UNIT, SteeringColumn
 from msgs_bridge.errors import SimulatorError
 from msgs_bridge.plain_text import plain
 from msgs_bridge.settings import setting
@@ -72,6 +73,9 @@ class PyRacerzSettings:
     stretch: float = setting(
         1.0, 'the same from top to bottom, as a share of that; 0.8 in CarRacing',
         low=0.2, high=5.0)
+    road_level: int = setting(
+        104, "picture carracing: gray level of the road; CarRacing's tiles have 102 once they "
+        'are visited, 104 on average before', low=0, high=255)
     steering: str = setting(
         'direct', "direct: angular is the game's steering; column: it turns the wheels as slowly "
         'as in CarRacing, and less than the game takes is given in pulses',
@@ -105,9 +109,12 @@ class PyRacerz(Simulator):
         # the game's robot has the car, the count of checkpoints and hands for the wheel
         self._player = game.player.RobotPlayer(1, settings.level)
         self._car = self._player.car
-        view = CarRacingView if settings.picture == 'carracing' else RawView
-        self._view: Any = view(self._track.track, self._car, settings.scale, settings.stretch)
+        view = self._track.track, self._car, settings.scale, settings.stretch
+        self._view: Any = (RawView(*view) if settings.picture == 'raw'
+                           else CarRacingView(*view, settings.road_level))
         self._column = SteeringColumn()
+        # pixels of the track to a unit of CarRacing's world
+        self._unit = settings.scale * PIXELS_PER_UNIT
         self._random = np.random.default_rng()
         self.frame_seconds = settings.steps_per_frame * STEP_SECONDS
         self.constants = {'level': float(settings.level), 'laps': float(settings.laps),
@@ -207,10 +214,13 @@ class PyRacerz(Simulator):
         """Return the game's steering, right positive, in [-1, 1]."""
         if self._settings.steering == 'direct':
             return -angular + 0.0
-        wanted = -self._column.turn(angular, STEP_SECONDS) / SteeringColumn.lock
+        self._column.turn(angular, STEP_SECONDS)
+        # CarRacing's car turns by its wheels, the game's by its steering at whatever speed
+        turning = -self._column.turning(self._car.speed / STEP_SECONDS / self._unit)
+        wanted = turning * STEP_SECONDS * (1 - TURN_KEPT) / TURN_RISE
         if abs(wanted) >= LEAST_STEERING:
             self._owed = 0.0
-            return wanted
+            return min(max(wanted, -1.0), 1.0)
         # what turns too slowly for the game is owed, and paid by the smallest turn that there is
         self._owed += wanted * TURN_RISE / (1 - TURN_KEPT) - self._turned
         least = LEAST_STEERING * TURN_RISE
@@ -223,9 +233,8 @@ class PyRacerz(Simulator):
         last = RED_STEP * track.nbCheckpoint
         first, last, step = (last, RED_STEP, -RED_STEP) if track.reverse else (
             RED_STEP, last, RED_STEP)
-        if red and red == player.lastCheckpoint + step:
-            self._checkpoints += 1
-        elif red == first and player.lastCheckpoint == last:
+        follows = red and red == player.lastCheckpoint + step
+        if follows or (red == first and player.lastCheckpoint == last):
             self._checkpoints += 1
         elif red == first and player.lastCheckpoint != first:
             # a checkpoint was missed: the lap begins again
@@ -241,10 +250,9 @@ class PyRacerz(Simulator):
         if self._checkpoints == track.nbCheckpoint:
             self._laps += 1
             self._lap_steps = self._steps - self._lap_began
-        if self._checkpoints in (0, track.nbCheckpoint):
-            self._lap_began = self._steps
-        if self._checkpoints == track.nbCheckpoint:
             self._checkpoints = self._most_checkpoints = 0
+        if self._checkpoints == 0:
+            self._lap_began = self._steps
         return earned
 
     def _ends(self) -> tuple[bool, bool]:
@@ -255,12 +263,12 @@ class PyRacerz(Simulator):
         """Return the share of the car's corners that have not the grip of the road."""
         car, grip_at = self._car, self._track.trackF.get_at
         width, height = self._track.trackF.get_size()
-        ahead_x, ahead_y = math.cos(car.angle) * car.height / 2, math.sin(car.angle) * car.height / 2
-        side_x, side_y = math.sin(car.angle) * car.width / 2, -math.cos(car.angle) * car.width / 2
+        cosine, sine = math.cos(car.angle), math.sin(car.angle)
         off = 0
-        for along, across in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
-            x = int(car.x + along * ahead_x + across * side_x)
-            y = int(car.y + along * ahead_y + across * side_y)
+        for along, across in itertools.product((-car.height / 2, car.height / 2),
+                                               (-car.width / 2, car.width / 2)):
+            x = int(car.x + along * cosine + across * sine)
+            y = int(car.y + along * sine - across * cosine)
             off += not (0 <= x < width and 0 <= y < height and grip_at((x, y))[1] == GRIP)
         return off / 4
 

@@ -13,7 +13,7 @@ from typing import Any
 
 from PIL import Image, ImageFilter
 from carracing_sim_node.appearance import (
-    CAR_ROW, CarAndPanel, grass_at, Palette, PIXELS_PER_UNIT, TILE_UNITS,
+    CAR_ROW, CarAndPanel, grass_at, Palette, PIXELS_PER_UNIT,
 )
 import numpy as np
 import pygame
@@ -105,14 +105,15 @@ class RawView:
 class CarRacingView:
     """The track's picture in CarRacing's colours, with CarRacing's car and panel."""
 
-    def __init__(self, track: pygame.Surface, car: Any, scale: float, stretch: float) -> None:
+    def __init__(self, track: pygame.Surface, car: Any, scale: float, stretch: float,
+                 road_level: int) -> None:
         """Take the picture of the track and the car that is in the middle."""
         self._car = car
         # pixels of the track to a unit of CarRacing's world
         self._unit = scale * PIXELS_PER_UNIT
         palette = Palette()
-        self._view = TopView(recoloured(_pixels_of(track), self._unit, palette), scale, stretch,
-                             tuple(palette.field))
+        self._view = TopView(recoloured(_pixels_of(track), self._unit, palette, road_level),
+                             scale, stretch, tuple(palette.field))
         self._overlay = CarAndPanel()
 
     def begin(self) -> None:
@@ -133,7 +134,9 @@ class CarRacingView:
         self._overlay.close()
 
 
-def recoloured(pixels: np.ndarray, unit: float, palette: Palette) -> np.ndarray:
+def recoloured(
+    pixels: np.ndarray, unit: float, palette: Palette, road_level: int,
+) -> np.ndarray:
     """
     Return a picture in CarRacing's colours: what is about gray as road, all else as grass.
 
@@ -141,13 +144,11 @@ def recoloured(pixels: np.ndarray, unit: float, palette: Palette) -> np.ndarray:
         pixels: uint8 (H, W, 3).
         unit: pixels to a unit of CarRacing's world.
         palette: CarRacing's.
+        road_level: gray level of the road.
     """
     rows, columns = np.indices(pixels.shape[:2]) / unit
     result = np.where(grass_at(columns, rows)[..., None], palette.grass, palette.field)
     channels = pixels.astype(int)
     most = channels.max(axis=2)
-    road = most - channels.min(axis=2) <= SATURATION * most
-    # tiles of the road's length in three levels, laid over the whole picture
-    tiles = (columns // TILE_UNITS + rows // TILE_UNITS).astype(int) % 3
-    result[road] = palette.road[tiles[road]]
+    result[most - channels.min(axis=2) <= SATURATION * most] = road_level
     return result
