@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 
 from carracing_sim_node.car_shape import CarShape
-from carracing_sim_node.controls import FRAME_SECONDS
 from carracing_sim_node.fast_renderer import warm_up
 from carracing_sim_node.panel import BAR_COLOURS, bars, ScoreText
 from carracing_sim_node.scanline import draw_frame, make_scratch, OUT, PANEL_ROWS
@@ -79,7 +78,8 @@ class CarAndPanel:
         self._view = np.array([1.0, 0.0, _ZOOM, WINDOW_W / 2, WINDOW_H / 4, 0.0, 0.0])
 
     def draw(
-        self, pixels: np.ndarray, *, speed: float, steering: float, turning: float, score: float,
+        self, pixels: np.ndarray, *, speed: float, driven: float, steering: float, turning: float,
+        score: float,
     ) -> None:
         """
         Draw over a picture.
@@ -87,6 +87,7 @@ class CarAndPanel:
         Args:
             pixels: uint8 (96, 96, 3), changed.
             speed: forward, units/s.
+            driven: way driven so far, by which the wheels have turned, units.
             steering: angle of the front wheels, left positive, rad.
             turning: rate of the car, left positive, rad/s.
             score: what the panel says.
@@ -95,7 +96,7 @@ class CarAndPanel:
         car.hull.angularVelocity = turning
         for number, wheel in enumerate(car.wheels):
             wheel.omega = speed / wheel.wheel_rad
-            wheel.phase += wheel.omega * FRAME_SECONDS
+            wheel.phase = driven / wheel.wheel_rad
             wheel.angle = steering if number < 2 else 0.0
         self._shape.place(car, self._view)
         text, text_x, text_y = self._score.draw(score)
@@ -109,11 +110,6 @@ class CarAndPanel:
         covered = (drawn != drawn[0, 0]).any(axis=2)
         covered[PANEL_ROW:] = True
         pixels[covered] = drawn[covered]
-
-    def rest(self) -> None:
-        """Let the wheels stand as they do at the start of an episode."""
-        for wheel in self._car.wheels:
-            wheel.phase = 0.0
 
     def close(self) -> None:
         """Let go of the world."""

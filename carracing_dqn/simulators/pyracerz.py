@@ -131,12 +131,11 @@ class PyRacerz(Simulator):
         share = self._settings.start_variation
         self._player.play(self._track, 1 + int(3 * place * (share > 0)))
         self._vary_start(np.array(rest), share)
-        self._column.angle = self._owed = self._turned = 0.0
+        self._column.angle = self._owed = self._turned = self._driven = 0.0
         self._frames = self._steps = self._lap_began = self._standing = 0
         self._checkpoints = self._most_checkpoints = self._laps = 0
         self._lap_steps = self._off_road = 0
         self._return = 0.0
-        self._view.begin()
         return Outcome(self._draw(), info=self._info())
 
     def advance(self, command: Command, frames: int = 1, *, draw: bool = True) -> Outcome:
@@ -181,6 +180,7 @@ class PyRacerz(Simulator):
         before = car.angle
         car.update()
         self._turned = (car.angle - before + math.pi) % (2 * math.pi) - math.pi
+        self._driven += car.speed
         self._steps += 1
         moved = math.hypot(car.x - car.ox, car.y - car.oy)
         self._standing = self._standing + 1 if moved < STANDING else 0
@@ -274,7 +274,8 @@ class PyRacerz(Simulator):
 
     def _draw(self) -> np.ndarray:
         return self._view.draw(
-            steering=self._column.angle, turning=-self._turned / STEP_SECONDS, score=self._return)
+            driven=self._driven, steering=self._column.angle,
+            turning=-self._turned / STEP_SECONDS, score=self._return)
 
     def _info(self) -> Mapping[str, float]:
         car = self._car

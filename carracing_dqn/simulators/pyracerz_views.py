@@ -87,9 +87,6 @@ class RawView:
                 size, Image.Resampling.BOX)) for layer in np.moveaxis(layers, 2, 0)], axis=2)
         return small[..., :3], 1 - small[..., 3:]
 
-    def begin(self) -> None:
-        """Begin an episode."""
-
     def draw(self, **_: float) -> np.ndarray:
         """Return the picture, uint8 (96, 96, 3)."""
         car = self._car
@@ -116,17 +113,22 @@ class CarRacingView:
                              scale, stretch, tuple(palette.field))
         self._overlay = CarAndPanel()
 
-    def begin(self) -> None:
-        """Begin an episode."""
-        self._overlay.rest()
+    def draw(self, *, driven: float, steering: float, turning: float, score: float) -> np.ndarray:
+        """
+        Return the picture, uint8 (96, 96, 3).
 
-    def draw(self, *, steering: float, turning: float, score: float) -> np.ndarray:
-        """Return the picture, uint8 (96, 96, 3)."""
+        Args:
+            driven: way driven, pixels of the track.
+            steering: angle of the front wheels, left positive, rad.
+            turning: rate of the car, left positive, rad/s.
+            score: what the panel says.
+        """
         car = self._car
         pixels = self._view.look(car.x, car.y, car.angle)
         # the game's speed is in pixels a step of 1/100 s
-        self._overlay.draw(pixels, speed=car.speed * 100 / self._unit, steering=steering,
-                           turning=turning, score=score)
+        self._overlay.draw(
+            pixels, speed=car.speed * 100 / self._unit, driven=driven / self._unit,
+            steering=steering, turning=turning, score=score)
         return pixels
 
     def close(self) -> None:
