@@ -53,7 +53,8 @@ def load_game() -> SimpleNamespace:
         for name in MODULES:
             sys.modules.pop(name, None)
         sys.modules.update(before)
-    game.track.configparser = SimpleNamespace(ConfigParser=_Parser)
+    for module in (game.misc, game.track):
+        module.configparser = SimpleNamespace(ConfigParser=_Parser)
     # pictures are converted to the format of a display, which has to exist for that
     game.misc.screen = _display()
     return game
