@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 import csv
 from fractions import Fraction
+import glob
 import io
 import itertools
 from pathlib import Path
@@ -15,7 +16,7 @@ from bags.errors import BagError
 from bags.frames import recorded_frames, RecordedFrame
 from bags.painter import FramePainter
 from bags.reader import BagReader
-from msgs_bridge.atomic_write import atomic_file
+from msgs_bridge.atomic_write import atomic_file, remove_leftovers
 from msgs_bridge.stamps import NANOSECONDS
 
 # seconds that the last picture of an episode stays
@@ -46,7 +47,7 @@ def export_csv(
     Raises:
         BagError: the file exists, the bag is damaged, or lacks the episode.
     """
-    _refuse_existing(path)
+    _prepare(path)
     frames = _chosen(reader, namespace, episode)
     # the first decision tells the names of the actions
     ahead = list(itertools.islice(frames, 2))
@@ -94,7 +95,7 @@ def export_video(
 
     if Path(path).suffix.lower() != '.mp4':
         raise BagError(f'{path}: a video is written as .mp4')
-    _refuse_existing(path)
+    _prepare(path)
     if not 1 <= scale <= MAX_SCALE:
         raise BagError(f'scale is {scale}; accepted: 1 to {MAX_SCALE}')
     if not 0.01 <= speed <= 100:
@@ -141,11 +142,13 @@ def _chosen(
     return itertools.chain([first], frames)
 
 
-def _refuse_existing(path: Path | str) -> None:
+def _prepare(path: Path | str) -> None:
+    """Refuse what cannot be written, and remove what a killed export of it has left."""
     if Path(path).exists():
         raise BagError(f'{path} exists already; nothing was overwritten')
     if not Path(path).resolve().parent.is_dir():
         raise BagError(f'{Path(path).parent} is not a folder')
+    remove_leftovers(Path(path).parent, glob.escape(Path(path).name))
 
 
 def _number(value: float | None) -> str:

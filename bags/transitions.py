@@ -18,6 +18,9 @@ from msgs_bridge.topics import CMD_VEL, IMAGE, STEP
 from msgs_bridge.transitions import Transition, TransitionJoiner
 from msgs_bridge.twists import Command, read_command
 
+# a recorder that ends cuts its topics off at moments so many messages apart, no more
+TORN_END = 8
+
 
 def bag_transitions(
     paths: Iterable[Path | str],
@@ -75,6 +78,9 @@ def _transitions(
             counts['rejected'] += 1
             continue
         yield from joined
+    if joiner.waiting > TORN_END:
+        # a topic that ended before the others
+        counts['lost_twist' if joiner.missing == CMD_VEL.name else 'lost_image'] += joiner.waiting
 
 
 def _applied(joiner: TransitionJoiner, step: Step) -> list[Transition]:

@@ -297,6 +297,30 @@ def test_video_shows_every_frame_for_as_long_as_it_lasted(tmp_path, drive):
     assert np.abs(shown - recorded).mean() < 12
 
 
+def test_what_a_killed_export_has_left_is_removed_by_the_next(tmp_path, drive):
+    for name in ('.lap.csv.abcd1234', '.lap.csvx.abcd1234', '.other.csv.abcd1234'):
+        (tmp_path / name).write_text('half')
+    with BagReader(drive) as reader:
+        export_csv(reader, tmp_path / 'lap.csv')
+    assert sorted(path.name for path in tmp_path.glob('.*.abcd1234')) == [
+        '.lap.csvx.abcd1234', '.other.csv.abcd1234']
+
+
+@pytest.mark.parametrize(('ended', 'told'), [
+    ('/image_raw', 'transitions lack an image'), ('/cmd_vel', 'lack the twist that was applied')])
+def test_a_topic_that_ends_before_the_others_is_missed(tmp_path, drive, ended, told):
+    with BagReader(drive) as reader, BagWriter(tmp_path / 'bag') as writer:
+        topics = {name: writer.add_topic(name, topic.type_name, topic.qos)
+                  for name, topic in reader.topics.items()}
+        last = [one.log_time for one in reader.messages([ended])][-20]
+        for one in reader.messages():
+            if one.topic != ended or one.log_time < last:
+                writer.write(topics[one.topic], one.log_time, one.publish_time, bytes(one.data))
+    with BagReader(tmp_path / 'bag') as reader:
+        found = verify_bag(reader, resimulate=False)
+    assert any(told in problem for problem in found.problems), found
+
+
 def test_video_of_another_simulator_has_its_size_and_its_pace(tmp_path):
     bag = record_drive(tmp_path / 'bag', episodes=1, settings={'simulator': 'toy_simulator:Toy'})
     with BagReader(bag) as reader:

@@ -144,12 +144,17 @@ class Driver:
         """
         Save what was learned, with the final model if learning has ended; return where it is.
 
+        Other processes may go on with the run then.
+
         Raises:
             RunError: it cannot be written, or learning has failed.
         """
-        if self.ended or self.training.complete:
-            return self.training.finish()
-        return self.training.save()
+        try:
+            if self.ended or self.training.complete:
+                return self.training.finish()
+            return self.training.save()
+        finally:
+            self.training.folder.unlock()
 
     def _save(self) -> None:
         self._say(f'saved {self.training.save()}')

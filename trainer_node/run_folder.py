@@ -66,7 +66,7 @@ class RunFolder:
 
     def lock(self) -> None:
         """
-        Keep other processes from learning into the folder until this one ends.
+        Keep other processes from learning into the folder until `unlock` or the process's end.
 
         Raises:
             RunError: another one does already.
@@ -90,6 +90,17 @@ class RunFolder:
             os.close(handle)
             return
         _locked[place] = handle
+
+    def unlock(self) -> None:
+        """Let other processes learn into the folder."""
+        try:
+            found = self.path.stat()
+        except OSError:
+            # it was removed, and nobody can open it
+            return
+        handle = _locked.pop((found.st_dev, found.st_ino), None)
+        if handle is not None:
+            os.close(handle)
 
     def check_writable(self) -> None:
         """
