@@ -180,6 +180,17 @@ def test_where_nothing_can_be_drawn_one_line_says_what_to_install(environment, t
     assert 'Traceback' not in result.stderr
 
 
+def test_without_mujoco_one_line_says_how_to_install_it():
+    hidden = ("import sys; sys.modules['mujoco'] = None; "
+              "from carracing_dqn.simulation.registry import make_simulator; "
+              "make_simulator('mujoco_car')")
+    result = subprocess.run([sys.executable, '-c', hidden], capture_output=True, text=True,
+                            cwd=ROOT)
+    assert result.stderr.splitlines()[-1] == (
+        "msgs_bridge.errors.SimulatorError: mujoco is not installed: "
+        "pip install 'carracing_dqn[mujoco]' (or pip install mujoco)")
+
+
 def test_some_hundred_steps_over_topics(graph):
     graph.listen(topics.IMAGE, topics.STEP, topics.CMD_VEL, topics.EPISODE)
     graph.node('dqn_policy_node', 'dqn_policy_node', model='random', wait_for_subscribers=2)

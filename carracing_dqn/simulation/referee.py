@@ -139,7 +139,7 @@ class Referee:
 
     Attributes:
         counts: events, for the diagnostics.
-        missing: why frames are not judged now, a text by topic.
+        missing: why frames are left out now, a text by topic.
         published: names of the topics that somebody publishes; to be kept up to date.
         resetting: whether it waits for `reset_done`.
     """
@@ -148,6 +148,7 @@ class Referee:
         """Wait for the first image."""
         self.counts: Counter[str] = Counter()
         self.missing: dict[str, str] = {}
+        self._lacking: dict[str, str] = {}
         self.published: set[str] = set()
         self.resetting = False
         self.needed = needed_topics(settings)
@@ -265,12 +266,14 @@ class Referee:
             if sight is None:
                 if late < self._settings.input_timeout:
                     break
+                self.missing = self._lacking
                 self._leave_out()
                 continue
             if (self._running and late < self._settings.twist_patience
                     and not any(heard == self._sight.stamp for heard, _ in self._twists)):
                 break
             self._waiting.popleft()
+            self.missing = {}
             found.append(self._go_on(sight) if self._running else self._begin(sight))
         return found
 
@@ -292,11 +295,11 @@ class Referee:
             self._last = dataclasses.replace(self._last, decision=self._last.decision + 1)
 
     def _look(self, image: _Image) -> _Sight | None:
-        """Return what is known at an image, None and `missing` if that is not enough."""
-        self.missing = {
+        """Return what is known at an image, None and what is `_lacking` if that is not enough."""
+        self._lacking = {
             topic: f'nobody publishes it, {terms} needs it'
             for topic, terms in self.needed.items() if topic not in self.published}
-        needed = [topic for topic in self.needed if topic not in self.missing]
+        needed = [topic for topic in self.needed if topic not in self._lacking]
         sight = _Sight(image.stamp, collided=image.collided)
         if ODOM in needed:
             sight = dataclasses.replace(sight, pose=self._pose_at(image.stamp))
@@ -304,11 +307,11 @@ class Referee:
             if topic in needed:
                 value, heard = image.numbers.get(topic, (math.nan, -math.inf))
                 if image.seen - heard > self._settings.input_timeout:
-                    self.missing[topic] = 'nothing has come lately'
+                    self._lacking[topic] = 'nothing has come lately'
                 sight = dataclasses.replace(sight, **{topic: value})
         if THE_PATH in needed and self._path is None:
-            self.missing[THE_PATH] = 'nothing has come yet'
-        if self.missing:
+            self._lacking[THE_PATH] = 'nothing has come yet'
+        if self._lacking:
             return None
         if self._path is not None and sight.pose is not None:
             place = self._path.place(sight.pose.x, sight.pose.y)
@@ -321,14 +324,14 @@ class Referee:
         """Return the newest pose up to a stamp, once nothing newer can come."""
         newest = self._poses[-1][0] if self._poses else None
         if newest is None:
-            self.missing[ODOM] = 'nothing has come yet'
+            self._lacking[ODOM] = 'nothing has come yet'
         elif newest < stamp:
-            self.missing[ODOM] = f'it is {(stamp - newest) / NANOSECONDS:.3g} s behind image_raw'
+            self._lacking[ODOM] = f'it is {(stamp - newest) / NANOSECONDS:.3g} s behind image_raw'
         else:
             for at, pose in reversed(self._poses):
                 if at <= stamp:
                     return pose
-            self.missing[ODOM] = 'it begins after the image'
+            self._lacking[ODOM] = 'it begins after the image'
         return None
 
     def _begin(self, sight: _Sight) -> Judgement:
