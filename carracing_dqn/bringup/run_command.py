@@ -13,7 +13,7 @@ from carracing_dqn.bringup.monitor import absolute_namespace, GraphState, Monito
 from carracing_dqn.bringup.provenance import with_provenance
 from carracing_dqn.bringup.run_folders import default_folder, new_folder
 from carracing_dqn.bringup.supervise import check_machine, refuse_second_simulator, run_to_the_end
-from carracing_dqn.simulation.profiles import profile_of
+from carracing_dqn.simulation.profiles import profile_of, seen_from
 from carracing_dqn.simulation.registry import frame_seconds
 from msgs_bridge.errors import BridgeError
 from rich.console import Console
@@ -80,8 +80,9 @@ def main(arguments: argparse.Namespace) -> int:
 
 def _graph(arguments: argparse.Namespace, model: str, repeat: int, folder: Path) -> Graph:
     graph = driving_graph(
-        model=as_parameter(model, folder), seed=arguments.seed, simulator=arguments.simulator,
-        episodes=arguments.laps, policy=profile_of(arguments.simulator).vehicle,
+        model=as_parameter(model, folder), seed=arguments.seed,
+        simulator=seen_from(arguments.simulator, folder), episodes=arguments.laps,
+        policy=profile_of(arguments.simulator).vehicle,
         stepping='real_time' if arguments.real_time else 'lockstep',
         # in real time every frame is shown; in lockstep only those the policy decides on
         action_repeat=1 if arguments.real_time else repeat,

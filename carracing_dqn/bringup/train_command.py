@@ -20,7 +20,7 @@ from carracing_dqn.bringup.run_folders import default_folder, new_folder
 from carracing_dqn.bringup.supervise import check_machine, refuse_second_simulator, run_to_the_end
 from carracing_dqn.bringup.training_display import best_score, training_line, training_table
 from carracing_dqn.simulation import find_simulator, make_simulator
-from carracing_dqn.simulation.profiles import find_profile, profile_of
+from carracing_dqn.simulation.profiles import found_from, profile_of, seen_from
 from msgs_bridge.errors import BridgeError, SettingsError
 from msgs_bridge.settings import describe
 from msgs_bridge.terminal import say
@@ -67,16 +67,16 @@ def main(arguments: argparse.Namespace) -> int:
     _check(arguments)
     console = Console()
     resume, preset = arguments.resume is not None, _preset(arguments)
+    folder = arguments.resume or arguments.run or default_folder(
+        Path(arguments.simulator or preset).stem.replace(':', '.'))
     # before the folder is made, so that a wrong name leaves nothing behind
-    arguments.pairs = _pairs(arguments)
+    arguments.pairs = _pairs(arguments, folder)
     overrides = _overrides(arguments.pairs)
     hyperparameters = run_settings(arguments.resume, preset, overrides, resume=resume)
     if arguments.list:
         for line in hyperparameter_lines(hyperparameters, shutil.get_terminal_size().columns):
             say(console, line)
         return 0
-    folder = arguments.resume or arguments.run or default_folder(
-        Path(arguments.simulator or preset).stem.replace(':', '.'))
     # one that was killed before its first checkpoint is begun anew
     begun = resume or RunFolder(folder).unfinished_start
     if folder.exists() and not begun:
@@ -87,7 +87,7 @@ def main(arguments: argparse.Namespace) -> int:
         return learn_from_bags(
             arguments.from_bag, folder, preset, overrides, console,
             namespace=arguments.namespace, resume=resume, tensorboard=arguments.tensorboard)
-    find_simulator(hyperparameters.simulator)
+    find_simulator(found_from(hyperparameters.simulator, folder))
     done = resume_point(folder, hyperparameters) if resume else (0, 0)
     check_machine()
     monitor = Monitor(arguments.namespace)
@@ -142,25 +142,23 @@ def _overrides(pairs: list[str]) -> dict[str, Any]:
         raise SettingsError(f'--set: {error}; {LIST_HINT}') from None
 
 
-def _pairs(arguments: argparse.Namespace) -> list[str]:
+def _pairs(arguments: argparse.Namespace, folder: Path) -> list[str]:
     """Return NAME=VALUE of what differs from the preset; the last of a name counts."""
     minutes = [] if arguments.minutes is None else [f'run_minutes={arguments.minutes}']
-    return [*_of_simulator(arguments.simulator), *arguments.set, *minutes]
+    return [*_of_simulator(arguments.simulator, folder), *arguments.set, *minutes]
 
 
-def _of_simulator(name: str | None) -> list[str]:
+def _of_simulator(name: str | None, folder: Path) -> list[str]:
     """Return NAME=VALUE of what a simulator looks like and of what its profile says."""
     if name is None:
         return []
-    path = find_profile(name)
-    if path is not None and path.is_file():
-        # nodes run in the folder of their run
-        name = name if path.stem == name else str(path.resolve())
     simulator = make_simulator(name)
     try:
         height, width, _ = simulator.reset(0 if simulator.seeded else None).pixels.shape
-        values = {'simulator': name, 'frame_height': height, 'frame_width': width,
-                  'frame_seconds': simulator.frame_seconds, **profile_of(name).training}
+        # nodes run in the folder of their run
+        values = {'simulator': seen_from(name, folder), 'frame_height': height,
+                  'frame_width': width, 'frame_seconds': simulator.frame_seconds,
+                  **profile_of(name).training}
     finally:
         simulator.close()
     pairs = [f'{key}={_as_text(value)}' for key, value in values.items() if key != 'preset']
@@ -192,7 +190,7 @@ def _graph(
         preset = os.path.relpath(Path(preset).expanduser().resolve(), folder.resolve())
     graph = training_graph(
         hyperparameters, first_episode=episodes, first_decision=decisions,
-        vehicle=profile_of(hyperparameters.simulator).vehicle,
+        vehicle=profile_of(found_from(hyperparameters.simulator, folder)).vehicle,
         trainer={'run': '.', 'resume': arguments.resume is not None, 'preset': preset,
                  'overrides': ','.join(arguments.pairs), 'tensorboard': arguments.tensorboard},
         bag=next_bag(folder).name if arguments.bag else None)

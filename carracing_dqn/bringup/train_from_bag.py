@@ -13,6 +13,7 @@ from bags.topic_lookup import need_topic
 from bags.reader import BagReader
 from bags.transitions import bag_transitions
 from carracing_dqn.evaluation.validator import validate_weights
+from carracing_dqn.simulation.profiles import found_from
 from msgs_bridge.errors import BridgeError, SettingsError
 from msgs_bridge.topics import IMAGE, STEP
 from rich.console import Console
@@ -56,6 +57,7 @@ def learn_from_bags(
         raise SettingsError(
             f'the bags hold at most {steps - 1} transitions, so nothing is learned with '
             f'learning_starts {settings.learning_starts}; set it lower')
+    simulator = found_from(settings.simulator, folder)
     training = open_training(folder, settings, resume=resume, tensorboard=tensorboard)
 
     def say(text: str) -> None:
@@ -63,7 +65,7 @@ def learn_from_bags(
 
     def publish(data: bytes) -> dict[str, float] | None:
         try:
-            return validate_weights(data, settings.validation_seeds, settings.simulator)
+            return validate_weights(data, settings.validation_seeds, simulator)
         except BridgeError as error:
             say(f'no validation: {error}')
             return None

@@ -13,6 +13,7 @@ from collections.abc import Mapping
 import dataclasses
 import functools
 import math
+import os
 from pathlib import Path
 from typing import Any
 
@@ -158,6 +159,28 @@ def as_simulator(profile: Profile, path: Path, base: type[Simulator]) -> type[Si
     return type(base.__name__, (base,), {
         'Settings': settings, 'deterministic': profile.deterministic,
         '__doc__': profile.about or base.__doc__})
+
+
+def seen_from(name: str, folder: Path | str) -> str:
+    """
+    Return the name of a simulator as a process in another folder has to say it.
+
+    Only the path of a profile changes. It is relative, because it is recorded: a shared bag should
+    not tell whose home it comes from.
+    """
+    path = find_profile(name)
+    if path is None or path.stem == name:
+        return name
+    return os.path.relpath(path.resolve(), Path(folder).resolve())
+
+
+def found_from(name: str, folder: Path | str) -> str:
+    """Return here what a process in a folder says: the reverse of `seen_from`."""
+    path = find_profile(name)
+    if path is None or path.stem == name:
+        return name
+    # the folder may not be there yet
+    return os.path.normpath(Path(folder) / path)
 
 
 @functools.cache
