@@ -11,6 +11,8 @@ import platform
 import subprocess
 from typing import Any
 
+# CUDA and ROCm
+GPUS = ('/dev/nvidiactl', '/dev/kfd')
 LIBRARIES = ('torch', 'numpy', 'gymnasium', 'safetensors')
 
 
@@ -32,6 +34,23 @@ def cores() -> int:
     if hasattr(os, 'sched_getaffinity'):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def computes_bfloat16() -> bool:
+    """
+    Return whether bfloat16 arithmetic is done by the machine and not imitated.
+
+    Where it is imitated, an update of the racing preset took four times as long as in float32.
+    """
+    if any(Path(place).exists() for place in GPUS):
+        return True
+    with contextlib.suppress(OSError):
+        for line in Path('/proc/cpuinfo').read_text().splitlines():
+            name, _, flags = line.partition(':')
+            # x86 and ARM
+            if name.strip() in ('flags', 'Features'):
+                return bool({'avx512_bf16', 'amx_bf16', 'bf16'} & set(flags.split()))
+    return True
 
 
 def code_version() -> str:

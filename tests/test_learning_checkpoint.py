@@ -5,6 +5,7 @@ import copy
 import errno
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -15,7 +16,7 @@ from learning_cases import create, drive, stream, tiny, validation
 from msgs_bridge import atomic_write
 from msgs_bridge.errors import BridgeError
 import pytest
-from trainer_node import observation_blocks
+from trainer_node import observation_blocks, open_run
 from trainer_node.checkpoint import Checkpoint
 from trainer_node.checkpoint_file import read_checkpoint, write_checkpoint
 from trainer_node.errors import RunError
@@ -373,3 +374,16 @@ def test_two_processes_do_not_learn_into_one_folder(run):
     # it ends with its process, however that ends; the same process may open it again
     for _ in range(2):
         run.lock()
+
+
+def test_a_new_run_has_bfloat16_where_the_machine_has_or_it_is_asked_for(run, monkeypatch):
+    for has in (True, False):
+        monkeypatch.setattr(open_run, 'computes_bfloat16', lambda has=has: has)
+        assert run_settings('new', 'racing', {}, resume=False).bf16 == has
+        assert run_settings('new', 'racing', {'bf16': True}, resume=False).bf16
+        assert not run_settings('new', 'report', {}, resume=False).bf16
+        # what a run began with it goes on with
+        text = run.config.read_text()
+        for begun in ('true', 'false'):
+            run.config.write_text(re.sub('bf16: .*', f'bf16: {begun}', text))
+            assert str(run_settings(run.path, 'racing', {}, resume=True).bf16).lower() == begun

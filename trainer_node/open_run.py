@@ -4,10 +4,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+import dataclasses
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
 from msgs_bridge.errors import SettingsError
+from msgs_bridge.machine import computes_bfloat16
 from msgs_bridge.settings import parse_text
 from trainer_node.checkpoint import Checkpoint, refuse_differences
 from trainer_node.errors import RunError
@@ -40,11 +42,17 @@ def run_settings(
     """
     Return the hyperparameters of a new run, or those a run goes on with.
 
+    A new run has bfloat16 arithmetic where its preset has and the machine does too, or where it
+    was asked for by name.
+
     Raises:
         SettingsError: no such preset or run, or a value that is not accepted.
     """
     if not resume:
-        return load_preset(preset, overrides)
+        settings = load_preset(preset, overrides)
+        if settings.bf16 and 'bf16' not in overrides and not computes_bfloat16():
+            settings = dataclasses.replace(settings, bf16=False)
+        return settings
     run = RunFolder(folder)
     if not run.config.is_file():
         raise SettingsError(f'{folder} is no run folder: it has no {run.config.name}')

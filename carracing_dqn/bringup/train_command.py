@@ -25,7 +25,7 @@ from msgs_bridge.errors import BridgeError, SettingsError
 from msgs_bridge.settings import describe
 from msgs_bridge.terminal import say
 from rich.console import Console
-from trainer_node.hyperparameters import Hyperparameters, preset_names
+from trainer_node.hyperparameters import Hyperparameters, load_preset, preset_names
 from trainer_node.open_run import read_overrides, resume_point, run_settings
 from trainer_node.run_folder import RunFolder
 
@@ -96,6 +96,8 @@ def main(arguments: argparse.Namespace) -> int:
         new_folder(folder, begun=begun)
         display = Display(monitor.state, training_table, training_line, console)
         display.say(f'run folder {folder}')
+        if not resume and load_preset(preset, overrides).bf16 != hyperparameters.bf16:
+            display.say('this processor has no bfloat16: learning in float32, which is faster')
         interrupted = run_to_the_end(
             _graph(arguments, hyperparameters, folder, *done), namespace=arguments.namespace,
             folder=folder, monitor=monitor, display=display)

@@ -61,7 +61,8 @@ MESSAGES = [
     *_messages('cmd_vel', EITHER, {**REFUSED, 'off': YES, 'stuck': YES}, 3),
     # only learning hangs on these
     *_messages('step', YES, {**REFUSED, 'off': YES, 'stuck': YES}, 3),
-    *_messages('weights', YES, REFUSED, 2),
+    # of depth 1: a good one may take the place of a bad one before anybody has seen that
+    *_messages('weights', YES, {}, 2),
     *_messages('validation', YES, {}, 1),
     # nobody acts on these; they are shown and recorded
     *_messages('episode', YES, {}, 0.5),
