@@ -6,6 +6,7 @@ import re
 
 from carracing_dqn.bringup.command import SUBCOMMANDS
 from carracing_dqn.bringup.environment import executables
+from carracing_dqn.bringup.graph import KINDS
 from carracing_dqn.bringup.reference_tables import SETTINGS, with_tables
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -18,7 +19,10 @@ def test_the_tables_are_those_of_the_code():
         text = page.read_text(encoding='utf-8')
         assert with_tables(text) == text, (
             f'run python -m carracing_dqn.bringup.reference_tables {page.relative_to(ROOT)}')
+    pages = ''.join(page.read_text(encoding='utf-8') for page in PAGES)
     for name in ('topics', *SETTINGS):
+        assert f'<!-- table: {name} -->' in pages
+    for name in ('topics', *(kind.name for kind in KINDS)):
         assert f'<!-- table: {name} -->' in README
 
 
