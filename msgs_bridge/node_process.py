@@ -24,6 +24,7 @@ from msgs_bridge.transport.time_slices import shorten_time_slices
 import rclpy
 from rclpy.duration import Duration
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.utilities import get_default_context, remove_ros_args
 
 # How often the executor has its turn in a node with eager subscriptions. One turn takes 0.3 to
@@ -33,6 +34,8 @@ EXECUTOR_SECONDS = 0.01
 # What a node that ends by itself gives its subscribers: a busy machine may let them wait, and what
 # shared memory did not hold comes with the next heartbeat, every 0.2 s.
 LAST_MESSAGES_SECONDS = 1.0
+# from a signal in the middle of a call of rclpy until rclpy knows of it
+SHUTDOWN_SECONDS = 0.2
 
 HELP = ('-h', '--help')
 
@@ -101,6 +104,10 @@ def run_node(make_node: Callable[[], Any], args: list[str] | None = None) -> int
             code = 0 if finished else STARTED.stopped_code
     except BridgeError as error:
         sys.stderr.write(f'error: {error}\n')
+        code = 2
+    except rclpy_implementation.RCLError as error:
+        # the machine lacks something, threads or memory
+        sys.stderr.write(f'error: ROS cannot go on: {plain(str(error).splitlines()[0], 300)}\n')
         code = 2
     except Exception:  # the process ends here, so this is where it is told
         traceback.print_exc()
@@ -184,7 +191,8 @@ def _spin_to_the_end(make_node: Callable[[], Any], arguments: list[str]) -> bool
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except Exception:
-        # a signal in the middle of a callback makes any call of rclpy fail
+        # a signal in the middle of any call of rclpy makes it fail, sooner than rclpy knows of it
+        time.sleep(SHUTDOWN_SECONDS)
         if rclpy.ok():
             raise
     finally:

@@ -10,6 +10,7 @@ that runs by itself.
 from __future__ import annotations
 
 from collections.abc import Mapping
+import contextlib
 import dataclasses
 import functools
 import math
@@ -88,8 +89,10 @@ def find_profile(name: str, *, shipped_only: bool = False) -> Path | None:
     """
     for folder in share_folders():
         path = folder / FOLDER / f'{name}{SUFFIX}'
-        if path.parent == folder / FOLDER and path.is_file():
-            return path
+        # a name may be longer than a file's may be
+        with contextlib.suppress(OSError):
+            if path.parent == folder / FOLDER and path.is_file():
+                return path
     if name.endswith(SUFFIX) and not shipped_only:
         return Path(name).expanduser()
     return None
