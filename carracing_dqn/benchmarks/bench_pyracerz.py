@@ -18,11 +18,13 @@ import statistics
 import sys
 from typing import Any
 
+from PIL import Image
 from carracing_dqn.evaluation.laps import checked_command, looks_every
 from carracing_dqn.evaluation.policies import parse_policy
 from carracing_dqn.simulation import make_simulator
 from dqn_policy_node.shipped_models import RANDOM
 from msgs_bridge.twists import STOP
+import numpy as np
 
 TRACKS = ('bio', 'city', 'desert', 'formula', 'http', 'kart', 'wave')
 DIRECTIONS = ('normal', 'reverse')
@@ -33,6 +35,8 @@ DRIVERS: dict[str, tuple[str, dict[str, Any]]] = {
     'random': ('pyracerz_carracing', {}),
     'robot': ('pyracerz_carracing', {'driver': 'robot'}),
 }
+# frames to a picture of a film, and pixels of it to one of the frame
+FILM_EVERY, FILM_ZOOM = 4, 3
 LIMIT_SECONDS, STANDING_SECONDS = 25.0, 5.0
 # seeds below were used for choosing the profile
 FIRST_SEED = 1000
@@ -62,7 +66,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument('--drivers', nargs='+', choices=DRIVERS, default=tuple(DRIVERS),
                         metavar='DRIVER', help=f'of {", ".join(DRIVERS)}')
     parser.add_argument('--json', metavar='FILE', help='write every start there too')
+    parser.add_argument('--film', metavar='FILE', help='write the first lap of the model on the '
+                        'first track as moving pictures (.webp) instead, raw and as it saw them')
     options = parser.parse_args(arguments)
+    if options.film:
+        return film(options)
     rows = []
     show('| driver | track | direction | laps | median lap, s | off the road | failures |')
     show('|---|---|---|---:|---:|---:|---|')
@@ -108,6 +116,35 @@ def drive(
             'stood': bool(outcome.info['standing_still'] >= standing)})
     simulator.close()
     return starts
+
+
+def film(options: argparse.Namespace) -> int:
+    """Film a lap; return 1 if none of the starts ends with one."""
+    # the same start and commands are the same drive, however it is drawn
+    settings = {'track': options.tracks[0]}
+    seen = make_simulator('pyracerz_carracing', settings)
+    raw = make_simulator('pyracerz_carracing', {**settings, 'picture': 'raw'})
+    policy = parse_policy('model', options.model).open(seen.frame_seconds)
+    for seed in range(options.seed, options.seed + options.starts):
+        outcomes, pictures, frames = [raw.reset(seed), seen.reset(seed)], [], 0
+        policy.reset(seed)
+        while not (outcomes[1].terminated or outcomes[1].truncated):
+            if frames % FILM_EVERY == 0:
+                pair = np.concatenate([one.pixels for one in outcomes], axis=1)
+                pictures.append(Image.fromarray(pair).resize(
+                    (FILM_ZOOM * pair.shape[1], FILM_ZOOM * pair.shape[0]),
+                    Image.Resampling.NEAREST))
+            command = checked_command(policy.act(outcomes[1].pixels))
+            outcomes = [one.advance(command) for one in (raw, seen)]
+            frames += 1
+        if outcomes[1].terminated:
+            pictures[0].save(
+                options.film, save_all=True, append_images=pictures[1:], loop=0, quality=50,
+                method=4, duration=round(1000 * FILM_EVERY * seen.frame_seconds))
+            show(f'{options.film}: seed {seed}, {outcomes[1].info["lap_seconds"]:.2f} s')
+            return 0
+    show('no start ended with a lap')
+    return 1
 
 
 def line(row: dict[str, Any]) -> str:
