@@ -4,11 +4,14 @@
 from __future__ import annotations
 
 import importlib.util
+from pathlib import Path
 
 from carracing_dqn.evaluation.lap_series import drive_laps
 from carracing_dqn.evaluation.policies import parse_policy
 from carracing_dqn.simulation import Drive, find_simulator, make_simulator
-from carracing_dqn.simulation.profiles import load_profile, profile_names
+from carracing_dqn.simulation.profiles import (
+    found_from, load_profile, profile_names, seen_from,
+)
 from carracing_dqn.simulation.settings import settings_for
 from carracing_dqn.simulators.gymnasium_env import GymnasiumEnv
 from carracing_dqn.simulators.space_mapping import action_encoder
@@ -251,6 +254,21 @@ def test_a_profile_that_is_no_file_is_one_line(tmp_path):
         find_simulator(str(tmp_path / 'none.yaml'))
     with pytest.raises(SimulatorError, match='accepted: carracing'):
         find_simulator('../pendulum')
+
+
+def test_a_profile_by_path_is_found_from_the_folder_of_a_run_and_names_no_home(
+    tmp_path, monkeypatch,
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / 'car.yaml').write_text('simulator: pendulum')
+    run = tmp_path / 'runs' / 'new'
+    for typed in ('car.yaml', './car.yaml', str(tmp_path / 'car.yaml')):
+        seen = seen_from(typed, run)
+        assert seen == '../../car.yaml'
+        assert Path(found_from(seen, run)) == tmp_path / 'car.yaml'
+        assert found_from(seen, 'runs/new') == 'car.yaml'
+    for name in ('carracing', 'pendulum', 'module:Class', 'x' * 5000):
+        assert seen_from(name, run) == found_from(name, run) == name
 
 
 def test_a_yaml_file_is_all_that_a_fourth_environment_needs(tmp_path):
