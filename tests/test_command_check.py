@@ -139,7 +139,8 @@ def test_wrong_words_are_one_line(capsys, words, told):
 
 
 @pytest.mark.parametrize('text', [
-    'topics: {image_raw: 3}', 'camera: {colour: red}', 'camera: {width: wide}',
+    'topics: {image_raw: 3}', 'topics: {image_raw: /front/bad-name}',
+    'camera: {colour: red}', 'camera: {width: wide}',
     'camera: {mean_rgb: [1, 2]}', 'vehicle: {linear_skale: 1}'])
 def test_a_profile_with_something_else_in_it_is_one_line(tmp_path, capsys, text):
     path = tmp_path / 'car.yaml'

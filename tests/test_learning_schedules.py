@@ -153,7 +153,7 @@ def test_the_report_preset_names_every_number_that_it_could_change():
     ('gamma: 2.0', 'gamma is 2.0; accepted: 0 to 1'),
     ('gamma: [1]', 'gamma must be a number'),
     ('- 1', 'must be a mapping'),
-    ('a: b: c', 'is not YAML'),
+    ('a: b: c', 'is not valid YAML'),
     ('epsilon_end: 0.5\nepsilon_start: 0.1', 'epsilon_end 0.5 is above'),
     ('learning_rate_end: 0.1', 'learning_rate_end 0.1 is above'),
     ('learning_starts: 200000', 'learning_starts 200000 must be below'),
@@ -169,7 +169,7 @@ def test_presets_that_are_not_there_are_refused(tmp_path):
     with pytest.raises(SettingsError, match="no preset 'raicing'"):
         load_preset('raicing')
     (tmp_path / 'bytes.yaml').write_bytes(b'\xff\xfe\x00')
-    with pytest.raises(SettingsError, match='is not YAML'):
+    with pytest.raises(SettingsError, match='is not valid YAML'):
         load_preset(tmp_path / 'bytes.yaml')
     with pytest.raises(SettingsError, match='did you mean'):
         load_preset('report', {'batchsize': 3})

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 import dataclasses
+import math
 import time
 from typing import Any, Protocol
 
@@ -86,7 +87,8 @@ def drive_lap(
 
     Raises:
         PolicyError: an answer that is no command, or that CarRacing cannot obey.
-        EvaluationError: somebody wants to watch a simulator that is not CarRacing.
+        EvaluationError: somebody wants to watch a simulator that is not CarRacing, or a reward is
+            not finite.
     """
     started = time.perf_counter()
     world = getattr(simulator, 'world', None)
@@ -108,6 +110,8 @@ def drive_lap(
                 command, 1, draw=look_every > 0 and frames % look_every == 0)
         frame = frame if outcome.pixels is None else outcome.pixels
         total += float(outcome.reward)
+        if not math.isfinite(total):
+            raise EvaluationError(f'the simulator gives the reward {outcome.reward}')
         if watch is not None:
             watch(world, float(outcome.reward))
     return lap_of(seed, total, frames, outcome.info, time.perf_counter() - started)

@@ -16,9 +16,11 @@ import functools
 import math
 import os
 from pathlib import Path
+import re
 from typing import Any
 
 from msgs_bridge.errors import SettingsError
+from msgs_bridge.plain_text import plain
 from msgs_bridge.regular_file import read_regular
 from msgs_bridge.settings import check_value, describe, unknown_setting
 from msgs_bridge.share import share_folders
@@ -38,7 +40,8 @@ class Profile:
     Attributes:
         about: what it is, in one line.
         simulator: name of the simulator that it stands on; empty: it runs by itself.
-        deterministic: whether the same seed and commands give the same outcomes to the last bit.
+        deterministic: whether the same seed and commands give the same outcomes to the last bit;
+            None: as the simulator says.
         settings: other defaults for the parameters of the simulator's node; what is no text,
             number or truth value is handed on as YAML.
         vehicle: parameters of policy and trainer: camera, units and limits of the commands.
@@ -50,7 +53,7 @@ class Profile:
 
     about: str = ''
     simulator: str = ''
-    deterministic: bool = False
+    deterministic: bool | None = None
     settings: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     vehicle: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     topics: Mapping[str, Any] = dataclasses.field(default_factory=dict)
@@ -62,6 +65,8 @@ def _is_number(value: object) -> bool:
     return type(value) in (int, float) and math.isfinite(value)
 
 
+# https://design.ros2.org/articles/topic_and_service_names.html
+TOPIC_NAME = re.compile(r'/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*')
 CAMERA = {
     'width': lambda value: type(value) is int and value > 0,
     'height': lambda value: type(value) is int and value > 0,
@@ -123,8 +128,11 @@ def load_profile(path: Path) -> Profile:
 
 def _check_parts(path: Path, content: dict[str, Any]) -> None:
     """Raise SettingsError for a remap or a property of the camera that cannot be."""
-    if not all(isinstance(name, str) for name in content.get('topics', {}).values()):
-        raise SettingsError(f'{path}: topics must map names to names')
+    for name, topic in content.get('topics', {}).items():
+        if not (isinstance(topic, str) and TOPIC_NAME.fullmatch(topic)):
+            raise SettingsError(
+                f'{path}: topics: {plain(name)} cannot be {plain(topic)!r}; accepted: names of '
+                'letters, digits and underscores, joined by /')
     for name, value in content.get('camera', {}).items():
         if name not in CAMERA:
             raise SettingsError(f'{path}: camera: {unknown_setting(name, CAMERA)}')
@@ -160,7 +168,9 @@ def as_simulator(profile: Profile, path: Path, base: type[Simulator]) -> type[Si
     settings = dataclasses.make_dataclass(
         f'{base.Settings.__name__}Of{path.stem}', fields, bases=(base.Settings,), frozen=True)
     return type(base.__name__, (base,), {
-        'Settings': settings, 'deterministic': profile.deterministic,
+        'Settings': settings,
+        'deterministic': (base.deterministic if profile.deterministic is None
+                          else profile.deterministic),
         '__doc__': profile.about or base.__doc__})
 
 

@@ -24,6 +24,7 @@ from carracing_dqn.simulation.profiles import (
     as_simulator, find_profile, load_profile, profile_names,
 )
 from msgs_bridge.errors import SimulatorError
+from msgs_bridge.plain_text import plain
 from msgs_bridge.settings import from_mapping
 from msgs_bridge.simulator import Simulator
 
@@ -137,9 +138,10 @@ def _load(place: str, name: str) -> Any:
     module_name, _, path = place.partition(':')
     try:
         found: Any = importlib.import_module(module_name)
-    except (ImportError, ValueError) as error:
-        raise SimulatorError(
-            f'simulator {_shown(name)}: cannot import {_shown(module_name)}: {error}') from None
+    except Exception as error:
+        # somebody's file may raise anything when it is read
+        raise SimulatorError(f'simulator {_shown(name)}: cannot import {_shown(module_name)}: '
+                             f'{type(error).__name__}: {plain(error)}') from None
     for part in path.split('.'):
         if not hasattr(found, part):
             raise SimulatorError(
