@@ -33,7 +33,7 @@ def monitor(graph):
 
 
 def wait(graph, condition, what):
-    graph.spin_until(condition, 20, what)
+    graph.spin_until(condition, 60, what)
 
 
 def test_no_message_ends_it_and_only_episodes_that_have_ended_count(graph, monitor):
