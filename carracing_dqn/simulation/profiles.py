@@ -181,19 +181,21 @@ def seen_from(name: str, folder: Path | str) -> str:
     Only the path of a profile changes. It is relative, because it is recorded: a shared bag should
     not tell whose home it comes from.
     """
-    path = find_profile(name)
-    if path is None or path.stem == name:
-        return name
-    return os.path.relpath(path.resolve(), Path(folder).resolve())
+    path = _given_by_path(name)
+    return os.path.relpath(path.resolve(), Path(folder).resolve()) if path else name
 
 
 def found_from(name: str, folder: Path | str) -> str:
     """Return here what a process in a folder says: the reverse of `seen_from`."""
-    path = find_profile(name)
-    if path is None or path.stem == name:
-        return name
+    path = _given_by_path(name)
     # the folder may not be there yet
-    return os.path.normpath(Path(folder) / path)
+    return os.path.normpath(Path(folder) / path) if path else name
+
+
+def _given_by_path(name: str) -> Path | None:
+    """Return the file of a profile that is named by its path, None for every other simulator."""
+    path = find_profile(name)
+    return None if path is None or path.stem == name else path
 
 
 @functools.cache
