@@ -15,14 +15,18 @@ MAX_SHOWN = 100
 """Characters of a name that an error quotes."""
 
 
-def find_model(name_or_path: Path | str) -> Path:
+def find_model(name_or_path: Path | str, base: Path | str = '') -> Path:
     """
     Return the folder of a model: a path, or the name of one that comes with the package.
+
+    Args:
+        name_or_path: which.
+        base: folder that a relative path counts from; the working folder by default.
 
     Raises:
         ModelError: there is neither.
     """
-    path = Path(name_or_path).expanduser()
+    path = Path(base) / Path(name_or_path).expanduser()
     if (path / 'model.json').is_file():
         return path
     shipped = shipped_models()

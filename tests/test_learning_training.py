@@ -3,7 +3,9 @@
 """A whole run on a stream of made-up transitions: determinism, resume, rows, limits."""
 import dataclasses
 import json
+import shutil
 
+from dqn_policy_node.errors import ModelError
 from dqn_policy_node.model_folder import load_model
 from dqn_policy_node.weights_message import decode_weights
 from learning_cases import Clock, create, drive, make_step, rows, stream, tiny
@@ -15,6 +17,7 @@ import torch
 from trainer_node import observation_blocks
 from trainer_node.checkpoint_file import read_checkpoint
 from trainer_node.errors import LearningError, RunError
+from trainer_node.hyperparameters import settings_of_model
 from trainer_node.training import Training
 import yaml
 
@@ -252,6 +255,36 @@ def test_the_epsilon_of_a_row_is_the_one_that_was_driven_with(tmp_path):
     assert acting == pytest.approx(list(0.995 ** np.arange(4)))
     assert [float(row['epsilon']) for row in rows(training.folder.episodes)] == (
         pytest.approx(acting, rel=1e-5))
+
+
+@pytest.mark.parametrize('changes', [{}, {'learner': 'qr_dqn', 'quantiles': 8}])
+def test_a_run_begins_with_the_weights_of_a_model_and_takes_its_settings(tmp_path, changes):
+    first = create(tmp_path / 'first', **RICH, **changes)
+    drive(first, stream(150))
+    model = load_model(first.finish())
+    settings = settings_of_model(model.description, first.settings.frame_seconds)
+    assert tiny(**settings).model_description() == model.description
+    # seen from the run folder
+    second = create(tmp_path / 'second', **{**settings, 'initial_model': '../first/final'})
+    for name, tensor in second.learning.learner.acting_tensors().items():
+        assert torch.equal(tensor, model.tensors[name])
+    for name, tensor in second.learning.learner.target.state_dict().items():
+        assert torch.equal(tensor, model.tensors[name])
+    drive(second, stream(60))
+    second.finish()
+    # and it goes on without the model
+    shutil.rmtree(tmp_path / 'first')
+    assert Training.resume(tmp_path / 'second').decisions == second.decisions
+
+
+def test_a_model_that_is_missing_or_does_not_fit_begins_no_run(tmp_path):
+    first = create(tmp_path / 'first', **RICH)
+    first.finish()
+    with pytest.raises(LearningError, match='initial_model does not fit.*network.hidden'):
+        create(tmp_path / 'second', **{
+            **RICH, 'hidden': 2 * first.settings.hidden, 'initial_model': '../first/final'})
+    with pytest.raises(ModelError, match="no model '../nowhere'"):
+        create(tmp_path / 'third', initial_model='../nowhere')
 
 
 def test_runs_that_are_not_there_or_in_the_way_are_named(tmp_path):

@@ -34,6 +34,9 @@ class Hyperparameters:
     """The settings of one training run; the defaults are those of the report."""
 
     # What the agent is. ------------------------------------------------------------------------
+    initial_model: str = setting(
+        '', 'model whose weights a new run begins with: name of a shipped one, or a folder, its '
+        'path seen from the run folder; empty: random weights')
     convolutions: str = setting(
         '32@8/4 64@4/2 64@3/1', 'convolutional layers as FILTERS@KERNEL/STRIDE (table 1)')
     hidden: int = setting(
@@ -295,7 +298,12 @@ class Hyperparameters:
             validation_every_decisions=self.validation_every_decisions or math.ceil(every))
 
     def model_description(self) -> ModelDescription:
-        """Return the model that these settings make; raises ModelError if it cannot be."""
+        """
+        Return the model that these settings make; `settings_of_model` is the reverse.
+
+        Raises:
+            ModelError: it cannot be.
+        """
         return ModelDescription(
             network=Network(
                 parse_convolutions(self.convolutions), self.hidden, self.dueling, self.dropout,
@@ -310,6 +318,41 @@ class Hyperparameters:
             action_seconds=(self.drive_repeat or self.action_repeat) * self.frame_seconds,
             stack_seconds=self.action_repeat * self.frame_seconds,
         )
+
+
+def settings_of_model(description: ModelDescription, frame_seconds: float) -> dict[str, Any]:
+    """
+    Return the hyperparameters that make a model again for a simulator, by name.
+
+    Args:
+        description: the model. The part of the frame that it looks at counts where it is not all
+            of it.
+        frame_seconds: of the simulator.
+
+    Raises:
+        SettingsError: its action space has no name here.
+    """
+    network, seen = description.network, description.preprocessing
+    name = description.action_space.name
+    if ACTION_SPACES.get(name) != description.action_space:
+        raise SettingsError(f'its actions {name!r} are none of {", ".join(ACTION_SPACES)}')
+    quantiles = {} if network.quantiles == 1 else {
+        'learner': next(name for name, entry in LEARNERS.items() if entry.quantiles),
+        'quantiles': network.quantiles}
+    part = ('first_row', 'rows', 'first_column', 'columns')
+    whole = (seen.rows, seen.columns) == (seen.frame_height, seen.frame_width)
+    return {
+        'convolutions': ' '.join(
+            f'{layer.filters}@{layer.kernel}/{layer.stride}' for layer in network.convolutions),
+        **{name: getattr(network, name) for name in ('hidden', 'dueling', 'dropout')},
+        **quantiles,
+        **{name: 0 if whole else getattr(seen, name) for name in part},
+        **{name: getattr(seen, name) for name in ('gray', 'road', 'shrink')},
+        'frame_stack': description.frame_stack,
+        'action_space': name,
+        'action_repeat': max(round(description.stack_seconds / frame_seconds), 1),
+        'drive_repeat': max(round(description.action_seconds / frame_seconds), 1),
+    }
 
 
 def load_preset(

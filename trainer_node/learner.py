@@ -54,6 +54,9 @@ class Learner(Protocol):
     def acting_tensors(self) -> dict[str, Tensor]:
         """Return a copy of the weights that act and are validated, as the model names them."""
 
+    def begin_with(self, tensors: dict[str, Tensor]) -> None:
+        """Take over weights that `acting_tensors` gave, to learn on from them."""
+
     def state_tensors(self) -> dict[str, Tensor]:
         """Return every tensor that the next update depends on by name, on the CPU."""
 

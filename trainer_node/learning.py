@@ -16,10 +16,12 @@ from typing import Any
 import numpy as np
 import torch
 
+from dqn_policy_node.model_folder import Model
 from dqn_policy_node.preprocessing import Preprocessor
 from msgs_bridge.errors import MessageError
 from msgs_bridge.transitions import Transition
 from trainer_node import schedules
+from trainer_node.errors import LearningError
 from trainer_node.hyperparameters import Hyperparameters
 from trainer_node.learner import make_learner
 from trainer_node.limiter import LimiterState, ReplayRatioLimiter
@@ -27,6 +29,8 @@ from trainer_node.replay_buffer import ReplayBuffer
 from trainer_node.shaping import Shaping
 
 MOVING_AVERAGE_EPISODES = 20
+# of an error about how two models differ
+MAX_TEXT = 300
 
 
 @dataclasses.dataclass(frozen=True)
@@ -153,6 +157,21 @@ class Learning:
         self.returns.append(episode_return)
         self._learning_rate.episode_ended(episode_return)
         self.learner.episode_ended(self.episodes)
+
+    def begin_with(self, model: Model) -> None:
+        """
+        Take over the weights of a model before the first update.
+
+        Raises:
+            LearningError: they are those of another network, input or action space.
+        """
+        needed = self.description.shapes
+        if (model.description.shapes != needed
+                or model.description.action_space != self.description.action_space):
+            raise LearningError(
+                'initial_model does not fit these hyperparameters: '
+                + '; '.join(self.description.differences(model.description))[:MAX_TEXT])
+        self.learner.begin_with(model.tensors)
 
     @property
     def epsilon(self) -> float:

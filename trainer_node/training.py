@@ -19,7 +19,8 @@ from typing import Any
 import uuid
 
 from dqn_policy_node.model_description import ModelDescription
-from dqn_policy_node.model_folder import Model, save_model
+from dqn_policy_node.model_folder import load_model, Model, save_model
+from dqn_policy_node.shipped_models import find_model
 from dqn_policy_node.weights_message import encode_weights
 from msgs_bridge.machine import describe_machine
 from msgs_bridge.transitions import Transition
@@ -82,12 +83,16 @@ class Training:
 
         Raises:
             RunError: the folder holds a run already or cannot be written.
-            LearningError: the device is not there.
+            LearningError: the device is not there, or `initial_model` is another network.
+            ModelError: there is no `initial_model`, or it is damaged.
         """
         folder = RunFolder(run_folder)
         folder.create()
         folder.remove_leftovers()
         training = cls(settings, folder, device=device, tensorboard=tensorboard, clock=clock)
+        if settings.initial_model:
+            training.learning.begin_with(
+                load_model(find_model(settings.initial_model, folder.path)))
         folder.write_config(to_yaml(settings))
         training._begin_session({
             'started': now(), 'seeds': {

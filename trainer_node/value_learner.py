@@ -157,6 +157,12 @@ class ValueLearner:
         return {
             name: tensor.detach().cpu().clone() for name, tensor in network.state_dict().items()}
 
+    def begin_with(self, tensors: dict[str, torch.Tensor]) -> None:
+        """Take over weights that acted, as `acting_tensors` gave them, in every network."""
+        for network in self._networks().values():
+            network.load_state_dict(tensors)
+        self._copy_to_working()
+
     def _explain(self, batch: Batch, result: dict[str, float]) -> str:
         """Return where a loss that is not finite comes from."""
         parts = [f'update {self.updates + 1}: the loss is {result["loss"]}, the norm of the '

@@ -14,6 +14,7 @@ from typing import Any
 
 from carracing_dqn.bringup.display import Display
 from carracing_dqn.bringup.graph import Graph, training_graph
+from carracing_dqn.bringup.models import as_parameter
 from carracing_dqn.bringup.monitor import absolute_namespace, Monitor
 from carracing_dqn.bringup.provenance import with_provenance
 from carracing_dqn.bringup.run_folders import default_folder, new_folder
@@ -21,11 +22,14 @@ from carracing_dqn.bringup.supervise import check_machine, refuse_second_simulat
 from carracing_dqn.bringup.training_display import best_score, training_line, training_table
 from carracing_dqn.simulation import find_simulator, make_simulator
 from carracing_dqn.simulation.profiles import found_from, profile_of, seen_from
+from dqn_policy_node.shipped_models import find_model
 from msgs_bridge.errors import BridgeError, SettingsError
 from msgs_bridge.settings import describe
 from msgs_bridge.terminal import say
 from rich.console import Console
-from trainer_node.hyperparameters import Hyperparameters, load_preset, preset_names
+from trainer_node.hyperparameters import (
+    Hyperparameters, load_preset, preset_names, settings_of_model,
+)
 from trainer_node.open_run import read_overrides, resume_point, run_settings
 from trainer_node.run_folder import RunFolder
 
@@ -43,6 +47,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--simulator', default=None, metavar='NAME|PROFILE|MODULE:CLASS',
                         help='what to learn in: its frames, and what its profile says of a '
                              'preset and hyperparameters')
+    parser.add_argument('--initial-model', default=None, metavar='MODEL',
+                        help='begin with the weights of a model, and take its network, stack and '
+                             'actions')
     parser.add_argument('--run', type=Path, default=None,
                         help='run folder (default: runs/<preset>-<time>)')
     parser.add_argument('--resume', type=Path, default=None, metavar='RUN',
@@ -70,7 +77,7 @@ def main(arguments: argparse.Namespace) -> int:
     folder = arguments.resume or arguments.run or default_folder(
         Path(arguments.simulator or preset).stem.replace(':', '.'))
     # before the folder is made, so that a wrong name leaves nothing behind
-    arguments.pairs = _pairs(arguments, folder)
+    arguments.pairs = _pairs(arguments, preset, folder)
     overrides = _overrides(arguments.pairs)
     hyperparameters = run_settings(arguments.resume, preset, overrides, resume=resume)
     if arguments.list:
@@ -121,9 +128,11 @@ def _check(arguments: argparse.Namespace) -> None:
     if arguments.minutes is not None and not 0 < arguments.minutes <= 1e6:
         raise BridgeError(f'--minutes is {arguments.minutes:g}; accepted: above 0, up to 1000000')
     if arguments.resume is not None and (
-            arguments.run or arguments.preset or arguments.simulator):
+            arguments.run or arguments.preset or arguments.simulator
+            or arguments.initial_model):
         raise BridgeError('--resume goes on in its own folder with its own settings: --run, '
-                          '--preset, --simulator are for a new run; --set changes single values')
+                          '--preset, --simulator, --initial-model are for a new run; --set '
+                          'changes single values')
     if arguments.bag and arguments.from_bag:
         raise BridgeError('--bag records a graph, which --from-bag does without')
     if arguments.tensorboard and importlib.util.find_spec('tensorboard') is None:
@@ -144,10 +153,12 @@ def _overrides(pairs: list[str]) -> dict[str, Any]:
         raise SettingsError(f'--set: {error}; {LIST_HINT}') from None
 
 
-def _pairs(arguments: argparse.Namespace, folder: Path) -> list[str]:
+def _pairs(arguments: argparse.Namespace, preset: str, folder: Path) -> list[str]:
     """Return NAME=VALUE of what differs from the preset; the last of a name counts."""
     minutes = [] if arguments.minutes is None else [f'run_minutes={arguments.minutes}']
-    return [*_of_simulator(arguments.simulator, folder), *arguments.set, *minutes]
+    simulator = _of_simulator(arguments.simulator, folder)
+    model = _of_model(arguments.initial_model, preset, simulator, folder)
+    return [*simulator, *model, *arguments.set, *minutes]
 
 
 def _of_simulator(name: str | None, folder: Path) -> list[str]:
@@ -169,6 +180,21 @@ def _of_simulator(name: str | None, folder: Path) -> list[str]:
     except SettingsError as error:
         raise SettingsError(f'simulator {name}: training: {error}') from None
     return pairs
+
+
+def _of_model(
+    name: str | None, preset: str, simulator: list[str], folder: Path,
+) -> list[str]:
+    """Return NAME=VALUE of what beginning with a model needs; raises ModelError."""
+    if name is None:
+        return []
+    from dqn_policy_node.model_folder import load_model
+    path = find_model(name)
+    seconds = load_preset(preset, read_overrides(simulator)).frame_seconds
+    # nodes run in the folder of their run
+    values = {'initial_model': as_parameter(str(path), folder),
+              **settings_of_model(load_model(path).description, seconds)}
+    return [f'{key}={_as_text(value)}' for key, value in values.items()]
 
 
 def _as_text(value: Any) -> str:
