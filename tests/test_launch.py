@@ -8,6 +8,7 @@ import sys
 
 from bag_cases import small_bag
 import pytest
+import yaml
 
 pytest.importorskip('launch_ros.actions', reason='launch and launch_ros are not installed',
                     exc_type=ImportError)
@@ -59,3 +60,20 @@ def test_training_ends_where_the_trainer_cannot_begin(tmp_path):
     (tmp_path / 'taken').write_text('a file, no folder')
     code, words = launch('train', tmp_path, 'run:=taken', 'preset:=report')
     assert code == 1 and 'trainer_node' in words, words
+
+
+def test_another_simulator_is_learned_in_by_its_name(tmp_path):
+    code, words = launch(
+        'train', tmp_path, 'simulator:=pendulum', 'run:=learned',
+        'overrides:=run_decisions=300,learning_starts=64,validation_every_minutes=0')
+    assert code == 0, words
+    settings = yaml.safe_load((tmp_path / 'learned' / 'config.yaml').read_text())
+    # of the profile, of the simulator, and of the words
+    assert (settings['action_space'], settings['frame_width'], settings['run_decisions']) == (
+        'steer5', 48, 300)
+    assert (tmp_path / 'learned' / 'final' / 'model.json').is_file()
+
+
+def test_another_simulator_is_driven_by_its_name(tmp_path):
+    code, words = launch('race', tmp_path, 'simulator:=nowhere')
+    assert code == 1 and 'nowhere' in words, words

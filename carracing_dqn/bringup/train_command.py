@@ -14,28 +14,24 @@ from typing import Any
 
 from carracing_dqn.bringup.display import Display
 from carracing_dqn.bringup.graph import Graph, training_graph
-from carracing_dqn.bringup.models import as_parameter
 from carracing_dqn.bringup.monitor import absolute_namespace, Monitor
 from carracing_dqn.bringup.provenance import with_provenance
+from carracing_dqn.bringup.recipe import (
+    choose_preset, pairs_of_model, pairs_of_simulator, PRESET, SIMULATOR_PRESET,
+)
 from carracing_dqn.bringup.run_folders import default_folder, new_folder
 from carracing_dqn.bringup.supervise import check_machine, refuse_second_simulator, run_to_the_end
 from carracing_dqn.bringup.training_display import best_score, training_line, training_table
-from carracing_dqn.simulation import find_simulator, make_simulator
-from carracing_dqn.simulation.profiles import found_from, profile_of, seen_from
-from dqn_policy_node.shipped_models import find_model
+from carracing_dqn.simulation import find_simulator
+from carracing_dqn.simulation.profiles import found_from, profile_of
 from msgs_bridge.errors import BridgeError, SettingsError
 from msgs_bridge.settings import describe
 from msgs_bridge.terminal import say
 from rich.console import Console
-from trainer_node.hyperparameters import (
-    Hyperparameters, load_preset, preset_names, settings_of_model,
-)
+from trainer_node.hyperparameters import Hyperparameters, load_preset, preset_names
 from trainer_node.open_run import read_overrides, resume_point, run_settings
 from trainer_node.run_folder import RunFolder
 
-PRESET = 'racing'
-SIMULATOR_PRESET = 'pixels'
-"""Preset for a simulator that was named and whose profile names none."""
 LIST_HINT = 'carracing train --list prints every name and what it accepts'
 
 
@@ -73,7 +69,8 @@ def main(arguments: argparse.Namespace) -> int:
     """Train until the run is complete or the user stops it; return the exit code."""
     _check(arguments)
     console = Console()
-    resume, preset = arguments.resume is not None, _preset(arguments)
+    resume = arguments.resume is not None
+    preset = choose_preset(arguments.preset, arguments.simulator)
     folder = arguments.resume or arguments.run or default_folder(
         Path(arguments.simulator or preset).stem.replace(':', '.'))
     # before the folder is made, so that a wrong name leaves nothing behind
@@ -139,12 +136,6 @@ def _check(arguments: argparse.Namespace) -> None:
         raise BridgeError("--tensorboard needs the package 'tensorboard': pip install tensorboard")
 
 
-def _preset(arguments: argparse.Namespace) -> str:
-    if arguments.preset is None and arguments.simulator is not None:
-        return str(profile_of(arguments.simulator).training.get('preset', SIMULATOR_PRESET))
-    return arguments.preset or PRESET
-
-
 def _overrides(pairs: list[str]) -> dict[str, Any]:
     """Return the hyperparameters that were asked for by name; raises SettingsError."""
     try:
@@ -156,49 +147,9 @@ def _overrides(pairs: list[str]) -> dict[str, Any]:
 def _pairs(arguments: argparse.Namespace, preset: str, folder: Path) -> list[str]:
     """Return NAME=VALUE of what differs from the preset; the last of a name counts."""
     minutes = [] if arguments.minutes is None else [f'run_minutes={arguments.minutes}']
-    simulator = _of_simulator(arguments.simulator, folder)
-    model = _of_model(arguments.initial_model, preset, simulator, folder)
+    simulator = pairs_of_simulator(arguments.simulator, folder)
+    model = pairs_of_model(arguments.initial_model, preset, simulator, folder)
     return [*simulator, *model, *arguments.set, *minutes]
-
-
-def _of_simulator(name: str | None, folder: Path) -> list[str]:
-    """Return NAME=VALUE of what a simulator looks like and of what its profile says."""
-    if name is None:
-        return []
-    simulator = make_simulator(name)
-    try:
-        height, width, _ = simulator.reset(0 if simulator.seeded else None).pixels.shape
-        # nodes run in the folder of their run
-        values = {'simulator': seen_from(name, folder), 'frame_height': height,
-                  'frame_width': width, 'frame_seconds': simulator.frame_seconds,
-                  **profile_of(name).training}
-    finally:
-        simulator.close()
-    pairs = [f'{key}={_as_text(value)}' for key, value in values.items() if key != 'preset']
-    try:
-        read_overrides(pairs)
-    except SettingsError as error:
-        raise SettingsError(f'simulator {name}: training: {error}') from None
-    return pairs
-
-
-def _of_model(
-    name: str | None, preset: str, simulator: list[str], folder: Path,
-) -> list[str]:
-    """Return NAME=VALUE of what beginning with a model needs; raises ModelError."""
-    if name is None:
-        return []
-    from dqn_policy_node.model_folder import load_model
-    path = find_model(name)
-    seconds = load_preset(preset, read_overrides(simulator)).frame_seconds
-    # nodes run in the folder of their run
-    values = {'initial_model': as_parameter(str(path), folder),
-              **settings_of_model(load_model(path).description, seconds)}
-    return [f'{key}={_as_text(value)}' for key, value in values.items()]
-
-
-def _as_text(value: Any) -> str:
-    return str(value).lower() if isinstance(value, bool) else str(value)
 
 
 def _what_next(folder: Path, before: str = '') -> str:
@@ -212,7 +163,7 @@ def _graph(
     arguments: argparse.Namespace, hyperparameters: Hyperparameters, folder: Path,
     episodes: int, decisions: int,
 ) -> Graph:
-    preset = _preset(arguments)
+    preset = choose_preset(arguments.preset, arguments.simulator)
     if Path(preset).expanduser().is_file():
         # paths count from the run folder, which is where the nodes are
         preset = os.path.relpath(Path(preset).expanduser().resolve(), folder.resolve())
