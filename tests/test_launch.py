@@ -65,7 +65,7 @@ def test_training_ends_where_the_trainer_cannot_begin(tmp_path):
 def test_another_simulator_is_learned_in_by_its_name(tmp_path):
     code, words = launch(
         'train', tmp_path, 'simulator:=pendulum', 'run:=learned',
-        'overrides:=run_decisions=300,learning_starts=64,validation_every_minutes=0')
+        'overrides:=run_decisions=300,learning_starts=64,validation_tracks=1')
     assert code == 0, words
     settings = yaml.safe_load((tmp_path / 'learned' / 'config.yaml').read_text())
     # of the profile, of the simulator, and of the words
