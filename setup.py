@@ -12,7 +12,7 @@ PACKAGES = [
     'msgs_bridge', 'msgs_bridge.transport', 'carracing_sim_node', 'dqn_policy_node',
     'trainer_node', 'bags', 'carracing_dqn',
     'carracing_dqn.bringup', 'carracing_dqn.evaluation', 'carracing_dqn.simulation',
-    'carracing_dqn.simulators', 'carracing_dqn.benchmarks',
+    'carracing_dqn.simulators', 'carracing_dqn.studies', 'carracing_dqn.benchmarks',
 ]
 EXECUTABLES = (
     'carracing', 'carracing_sim_node', 'dqn_policy_node', 'trainer_node', 'validation_node',

@@ -292,10 +292,30 @@ class Hyperparameters:
         """
         if not self.run_minutes or self.run_decisions:
             return self
-        every = self.validation_every_minutes / self.run_minutes * transitions
+        return self.without_clock(transitions)
+
+    def without_clock(self, decisions: int) -> Hyperparameters:
+        """
+        Return the settings of a run of so many decisions in which nothing goes by the clock.
+
+        What went by minutes of the run goes by its share of the decisions.
+
+        Args:
+            decisions: after which it is complete.
+
+        Raises:
+            SettingsError: validations go by minutes of a run that has none.
+        """
+        if self.validation_every_minutes and not self.run_minutes:
+            raise SettingsError(
+                'validation_every_minutes without run_minutes is no share of the run; set '
+                'validation_every_decisions instead')
+        every = 0
+        if self.validation_every_minutes:
+            every = math.ceil(self.validation_every_minutes / self.run_minutes * decisions)
         return dataclasses.replace(
-            self, run_minutes=0.0, run_decisions=transitions, validation_every_minutes=0.0,
-            validation_every_decisions=self.validation_every_decisions or math.ceil(every))
+            self, run_minutes=0.0, run_decisions=decisions, validation_every_minutes=0.0,
+            validation_every_decisions=self.validation_every_decisions or every)
 
     def model_description(self) -> ModelDescription:
         """

@@ -19,6 +19,8 @@ SUBCOMMANDS = {
             'drive laps with the shipped model and record a bag'),
     'train': ('carracing_dqn.bringup.train_command',
               'the whole learning graph, validation included'),
+    'study': ('carracing_dqn.studies.command',
+              'training runs by a YAML file, and the page that compares them'),
     'evaluate': ('carracing_dqn.bringup.evaluate_command',
                  'greedy laps on seeded tracks in the unmodified environment'),
     'check': ('carracing_dqn.bringup.check_command',

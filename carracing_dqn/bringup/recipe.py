@@ -7,22 +7,19 @@ from pathlib import Path
 from typing import Any
 
 from carracing_dqn.bringup.models import as_parameter
-from carracing_dqn.simulation import make_simulator
-from carracing_dqn.simulation.profiles import profile_of, seen_from
+from carracing_dqn.studies.simulator_settings import preset_for, settings_from
 from dqn_policy_node.shipped_models import find_model
 from msgs_bridge.errors import SettingsError
 from trainer_node.hyperparameters import load_preset, settings_of_model
 from trainer_node.open_run import read_overrides
 
 PRESET = 'racing'
-SIMULATOR_PRESET = 'pixels'
-"""Preset for a simulator that was named and whose profile names none."""
 
 
 def choose_preset(preset: str | None, simulator: str | None) -> str:
     """Return the preset that was named, or that of a simulator's profile, or the default."""
     if preset is None and simulator is not None:
-        return str(profile_of(simulator).training.get('preset', SIMULATOR_PRESET))
+        return preset_for(simulator)
     return preset or PRESET
 
 
@@ -40,16 +37,7 @@ def pairs_of_simulator(name: str | None, folder: Path) -> list[str]:
     """
     if name is None:
         return []
-    simulator = make_simulator(name)
-    try:
-        height, width, _ = simulator.reset(0 if simulator.seeded else None).pixels.shape
-        # nodes run in the folder of their run
-        values = {'simulator': seen_from(name, folder), 'frame_height': height,
-                  'frame_width': width, 'frame_seconds': simulator.frame_seconds,
-                  **profile_of(name).training}
-    finally:
-        simulator.close()
-    pairs = [f'{key}={_as_text(value)}' for key, value in values.items() if key != 'preset']
+    pairs = [f'{key}={_as_text(value)}' for key, value in settings_from(name, folder).items()]
     try:
         read_overrides(pairs)
     except SettingsError as error:

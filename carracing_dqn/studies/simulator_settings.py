@@ -1,0 +1,41 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a simulator says of a training in it: its frames, and the hyperparameters it asks for."""
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from carracing_dqn.simulation import make_simulator
+from carracing_dqn.simulation.profiles import profile_of, seen_from
+
+PRESET = 'pixels'
+"""Preset for a simulator whose profile names none."""
+
+
+def preset_for(name: str) -> str:
+    """Return the preset that the profile of a simulator names, or that for any."""
+    return str(profile_of(name).training.get('preset', PRESET))
+
+
+def settings_from(name: str, folder: Path) -> dict[str, Any]:
+    """
+    Return hyperparameters by name: how a simulator looks, and what its profile says.
+
+    Args:
+        name: of the simulator, as it is said here.
+        folder: of the run, where its processes are.
+
+    Raises:
+        SimulatorError, SettingsError: there is no such simulator, or it cannot run here.
+    """
+    simulator = make_simulator(name)
+    try:
+        height, width, _ = simulator.reset(0 if simulator.seeded else None).pixels.shape
+        values = {'simulator': seen_from(name, folder), 'frame_height': height,
+                  'frame_width': width, 'frame_seconds': simulator.frame_seconds,
+                  **profile_of(name).training}
+    finally:
+        simulator.close()
+    values.pop('preset', None)
+    return values
