@@ -3,6 +3,7 @@
 """What a simulator says of a training in it: its frames, and the hyperparameters it asks for."""
 from __future__ import annotations
 
+import functools
 from pathlib import Path
 from typing import Any
 
@@ -29,13 +30,18 @@ def settings_from(name: str, folder: Path) -> dict[str, Any]:
     Raises:
         SimulatorError, SettingsError: there is no such simulator, or it cannot run here.
     """
+    values = {'simulator': seen_from(name, folder), **_looks(name), **profile_of(name).training}
+    values.pop('preset', None)
+    return values
+
+
+@functools.cache
+def _looks(name: str) -> dict[str, Any]:
+    """Return size and duration of the frames of a simulator; some take seconds to be made."""
     simulator = make_simulator(name)
     try:
         height, width, _ = simulator.reset(0 if simulator.seeded else None).pixels.shape
-        values = {'simulator': seen_from(name, folder), 'frame_height': height,
-                  'frame_width': width, 'frame_seconds': simulator.frame_seconds,
-                  **profile_of(name).training}
+        return {'frame_height': height, 'frame_width': width,
+                'frame_seconds': simulator.frame_seconds}
     finally:
         simulator.close()
-    values.pop('preset', None)
-    return values
