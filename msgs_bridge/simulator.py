@@ -44,7 +44,8 @@ class Simulator(Protocol):
     A world that is driven by commands and seen in pixels.
 
     Inherit from this class: then what is given below need not be written. What a simulator raises
-    on purpose is a `BridgeError`, best a `SimulatorError`; it ends the node with one line.
+    on purpose is a `BridgeError`, best a `SimulatorError`; it ends the node with one line. It is
+    made, driven and closed in one thread, to which OpenGL is bound.
 
     Attributes:
         Settings: settings class (`msgs_bridge.settings`), of which the constructor takes an

@@ -28,8 +28,9 @@ def good(**changes) -> Seen:
     stamps = [10 ** 9 + number * 20_000_000 for number in range(60)]
     seen = Seen('/image_raw', '/cmd_vel', [IMAGE_TYPE], ['/image_raw'],
                 [stamp / 1e9 for stamp in stamps], stamps, {'rgb8'}, {(96, 96)}, set(),
-                {'': [view(50)] * 20, 'left': [view(50 - number) for number in range(20)],
-                 'right': [view(50 + number) for number in range(20)]},
+                [('', [view(50)] * 20), *2 * [
+                    ('left', [view(50 - number) for number in range(20)]),
+                    ('right', [view(50 + number) for number in range(20)])]],
                 ['reliable'], [STAMPED_TYPE], [], [], True)
     for name, value in changes.items():
         setattr(seen, name, value)
@@ -44,7 +45,7 @@ def verdicts(seen: Seen, vehicle=(), camera=()) -> dict:
 
 def test_a_car_that_fits_is_told_so():
     mean = [float(value) for value in np.mean(
-        [one.reshape(-1, 3).mean(0) for kind in good().frames.values() for one in kind], 0)]
+        [one.reshape(-1, 3).mean(0) for _, series in good().frames for one in series], 0)]
     camera = {'width': 96, 'height': 96, 'encoding': 'rgb8', 'rate': 50, 'mean_rgb': mean}
     assert {one.verdict for one in verdicts(good(), (), camera).values()} == {GOOD}
 
@@ -64,14 +65,14 @@ CASES = [
     ('stamps', {'stamps': [9, 8, 7]}, {}, {}, BAD, 'one clock'),
     ('size', {'sizes': {(640, 480)}}, {}, {}, BAD, "camera_crop:='80,0,480,480'"),
     ('size', {}, {}, {'width': 640}, BAD, 'camera.width'),
-    ('size', {'frames': {'': [], 'left': [], 'right': []}},
+    ('size', {'frames': []},
      {'camera_crop': '0,0,100,100'}, {}, BAD, 'camera_crop'),
     ('encoding', {}, {}, {'encoding': 'bgr8'}, BAD, 'camera.encoding'),
     ('encoding', {}, {'camera_encoding': 'bgr8'}, {}, UNSURE, 'camera_encoding'),
-    ('colours', {'frames': {'': [np.zeros((96, 96, 3), np.uint8)], 'left': [], 'right': []}},
+    ('colours', {'frames': [('', [np.zeros((96, 96, 3), np.uint8)])]},
      {}, {}, BAD, 'a camera that sees'),
-    ('colours', {'frames': {'': [np.full((9, 9, 3), (90, 160, 20), np.uint8) ^ np.eye(
-        9, dtype=np.uint8)[:, :, None]], 'left': [], 'right': []}},
+    ('colours', {'frames': [('', [np.full((9, 9, 3), (90, 160, 20), np.uint8) ^ np.eye(
+        9, dtype=np.uint8)[:, :, None]])]},
      {}, {'mean_rgb': [20, 160, 90]}, BAD, 'camera_encoding:=bgr8'),
     ('colours', {}, {}, {'mean_rgb': [1, 2, 3]}, BAD, 'camera.mean_rgb'),
     ('twists', {'twist_types': []}, {}, {}, BAD, '-r cmd_vel:=TOPIC'),
@@ -79,12 +80,17 @@ CASES = [
     ('twists', {}, {'cmd_vel_stamped': False}, {}, BAD, 'cmd_vel_stamped:=true'),
     ('twists', {'deaf': ['QoS of /car does not match']}, {}, {}, BAD, 'QoS'),
     ('driver', {'drivers': ['/joystick']}, {}, {}, UNSURE, 'stop it'),
-    ('steering', {'frames': {'': [view(0)], 'left': [], 'right': []}}, {}, {}, UNSURE, '--nudge'),
-    ('steering', {'frames': {'': [], 'left': [view(9)] * 9, 'right': [view(9)] * 9}}, {}, {},
+    ('steering', {'frames': [('', [view(0)])]}, {}, {}, UNSURE, '--nudge'),
+    ('steering', {'frames': 2 * [('left', [view(9)] * 9), ('right', [view(9)] * 9)]}, {}, {},
      UNSURE, 'look at it'),
-    ('steering', {'frames': {'': [], 'left': good().frames['right'],
-                             'right': good().frames['left']}}, {'angular_scale': 0.5}, {}, BAD,
-     'angular_scale:=-0.5'),
+    ('steering', {'frames': 2 * [('left', good().told('right')[0]),
+                                 ('right', good().told('left')[0])]}, {'angular_scale': 0.5}, {},
+     BAD, 'angular_scale:=-0.5'),
+    # a camera that turns by itself, once with what it was told and once against it
+    ('steering', {'frames': [*good().frames, ('left', good().told('right')[0]),
+                             ('right', good().told('left')[0])]}, {}, {}, UNSURE, 'look at it'),
+    ('rate', {'stamps': [number * 20_000_000 + number // 10 * 10 ** 8 for number in range(60)]},
+     {}, {}, UNSURE, 'keeps up'),
     ('step', {'steps': False}, {}, {}, UNSURE, 'referee'),
 ]
 
@@ -109,9 +115,9 @@ def test_a_shift_is_found_to_a_fraction_of_a_pixel(shift):
 
 def test_pictures_that_have_nothing_in_common_say_nothing():
     noise = [RANDOM.integers(0, 255, (96, 96, 3), np.uint8) for _ in range(8)]
-    assert turned_left(noise[:4], noise[4:]) is None
+    assert turned_left([noise[:4]], [noise[4:]]) is None
     black = [np.zeros((96, 96, 3), np.uint8)] * 3
-    assert turned_left(black, black) is None
+    assert turned_left([black], [black]) is None
 
 
 @pytest.mark.parametrize('name', ['carracing'])
@@ -124,8 +130,8 @@ def test_in_carracing_left_is_left(name):
         for _ in range(25):
             kept.append(simulator.advance(Command(0.1, angular)).pixels)
     simulator.close()
-    assert turned_left(frames[1.0], frames[-1.0]) is True
-    assert turned_left(frames[-1.0], frames[1.0]) is False
+    assert turned_left([frames[1.0]], [frames[-1.0]]) is True
+    assert turned_left([frames[-1.0]], [frames[1.0]]) is False
 
 
 @pytest.mark.parametrize(('words', 'told'), [

@@ -1,6 +1,7 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
 """The same laps over topics."""
+from pathlib import Path
 import signal
 
 from carracing_dqn.bringup.graph_laps import run_graph
@@ -86,6 +87,27 @@ def test_the_validator_answers_while_it_drives(graph):
     assert not graph.messages[topics.VALIDATION.name]
     validator.signal(signal.SIGINT)
     assert validator.process.wait(10) == 0
+
+
+def test_a_simulator_is_validated_in_the_thread_that_made_it(graph, monkeypatch):
+    monkeypatch.setenv('PYTHONPATH', str(Path(__file__).parent))
+    description = Hyperparameters(
+        convolutions='8@8/4', hidden=16, frame_height=32, frame_width=48).model_description()
+    graph.listen(topics.VALIDATION)
+    weights = graph.publisher(topics.WEIGHTS)
+    graph.node('carracing_dqn.evaluation.node', 'validator', tracks=2,
+               simulator='toy_simulator:Toy')
+    graph.spin_until(weights.get_subscription_count, 30, 'the validator')
+    weights.publish(UInt8MultiArray(data=encode_weights(
+        QNetwork(description).state_dict(), description, version=1, validate=True)))
+    graph.spin_until(lambda: graph.messages[topics.VALIDATION.name], 30, 'a validation')
+
+
+def test_a_simulator_that_is_not_there_ends_the_validator_with_one_line(graph):
+    validator = graph.node('carracing_dqn.evaluation.node', 'validator', simulator='nowhere:Toy')
+    assert validator.process.wait(30) == 2
+    words = validator.log.read_text()
+    assert 'Traceback' not in words and 'nowhere' in words
 
 
 def test_the_validator_drives_the_newest_version_that_waits(graph):

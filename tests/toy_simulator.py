@@ -1,6 +1,8 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
 """A simulator as small as they come: a dot that earns by how near it is to a bar."""
+import threading
+
 from msgs_bridge.simulator import Outcome, Simulator
 import numpy as np
 
@@ -15,8 +17,11 @@ class Toy(Simulator):
 
     def __init__(self, settings):
         self.random = np.random.default_rng()
+        self.thread = threading.get_ident()
 
     def reset(self, seed):
+        # as OpenGL would
+        assert threading.get_ident() == self.thread, 'driven in another thread than it was made in'
         if seed is not None:
             self.random = np.random.default_rng(seed)
         self.bar, away = self.random.integers((4, 8), (44, 33)).astype(float)

@@ -36,9 +36,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--seconds', type=float, default=5.0,
                         help='how long to listen (default %(default)s)')
     parser.add_argument('--nudge', action='store_true',
-                        help='drive meanwhile: ahead, then left, then right, to see whether the '
-                             'picture turns as it should; IT MOVES. A simulator in lockstep shows '
-                             'nothing without it')
+                        help='drive meanwhile: ahead, then left and right, twice, to see whether '
+                             'the picture turns as it should; IT MOVES. A simulator in lockstep '
+                             'shows nothing without it')
     parser.add_argument('--namespace', default='', help='ROS namespace of the car')
 
 

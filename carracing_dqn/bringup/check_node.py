@@ -31,9 +31,10 @@ from rclpy.signals import SignalHandlerOptions
 FIND_SECONDS = 6.5
 # after the camera was found, the others are
 SETTLE_SECONDS = 1.0
-# a gentle start, then full lock, so that whatever steers shows it
-PHASES = (('', 0.4, Command(0.4, 0.0)), ('left', 0.3, Command(0.2, 1.0)),
-          ('right', 0.3, Command(0.2, -1.0)))
+# a gentle start, then full lock, so that whatever steers shows it; twice, because a camera may
+# move by itself
+LEFT, RIGHT = ('left', 0.175, Command(0.2, 1.0)), ('right', 0.175, Command(0.2, -1.0))
+PHASES = (('', 0.3, Command(0.4, 0.0)), LEFT, RIGHT, LEFT, RIGHT)
 # frames that are kept of each phase
 MAX_FRAMES = 300
 MAX_IMAGES = 100_000
@@ -54,8 +55,8 @@ def look(
         namespace: absolute, of the car's topics.
         remaps: relative name -> name of its topics.
         seconds: how long to listen.
-        nudge: whether to drive it meanwhile, first ahead, then left, then right; not done where
-            another node drives.
+        nudge: whether to drive it meanwhile, ahead first, then left and right, twice; not done
+            where another node drives.
 
     Raises:
         BridgeError: the machine lacks what every node needs, or a topic has no such name.
@@ -114,6 +115,7 @@ class _Look:
             subscription.watch()
             for phase in PHASES if self._publisher else PHASES[:1]:
                 self._phase = phase
+                self._seen.frames.append((phase[0], []))
                 self._spin(seconds * (phase[1] if self._publisher else 1.0))
             if self._publisher is not None:
                 self._publisher.publish(self._twist(self._stage.stop(), None))
@@ -166,11 +168,11 @@ class _Look:
         else:
             seen.encodings.add(plain(message.encoding))
             seen.sizes.add((message.width, message.height))
-        told, _, command = self._phase
+        command, (_, series) = self._phase[2], seen.frames[-1]
         try:
             frame = self._camera.frame(message)
-            if len(seen.frames[told]) < MAX_FRAMES:
-                seen.frames[told].append(frame.copy())
+            if len(series) < MAX_FRAMES:
+                series.append(frame.copy())
         except MessageError as error:
             seen.refused.add(plain(error))
         if self._publisher is not None:

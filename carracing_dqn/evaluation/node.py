@@ -15,6 +15,7 @@ versions wait and only the newest is driven.
 """
 from __future__ import annotations
 
+from concurrent.futures import Future
 import contextlib
 import queue
 import sys
@@ -31,6 +32,7 @@ from msgs_bridge.errors import BridgeError, MessageError
 from msgs_bridge.named_values import fill_named_values
 from msgs_bridge.node_shell import NodeShell, run_node
 from msgs_bridge.plain_text import plain
+from msgs_bridge.simulator import Simulator
 from msgs_bridge.stamps import to_nanoseconds
 from sensor_msgs.msg import JointState
 
@@ -49,7 +51,8 @@ class ValidationNode(NodeShell):
     def __init__(self) -> None:
         """Declare parameters and wait for marked weights."""
         super().__init__('validation_node', ValidationSettings)
-        self._simulator = make_simulator(self.settings.simulator)
+        # with the simulator, or why there is none
+        self._made: Future[Simulator] = Future()
         self._wanted: queue.Queue[WeightsUpdate] = queue.Queue(maxsize=1)
         self._results: queue.SimpleQueue[dict[str, float] | Exception] = queue.SimpleQueue()
         self._driven = -1
@@ -59,6 +62,7 @@ class ValidationNode(NodeShell):
         self._lap_driver_called = self.create_guard_condition(self._on_result)
         # it is left alone at the end, because a lap may take longer than a node has to stop
         threading.Thread(target=self._drive, name='laps', daemon=True).start()
+        self._made.result()
 
     def _on_weights(self, message: object) -> None:
         try:
@@ -75,6 +79,12 @@ class ValidationNode(NodeShell):
 
     def _drive(self) -> None:
         """Drive the laps of the newest marked version, again and again."""
+        try:
+            # in this thread, to which a simulator that draws by OpenGL is bound
+            self._made.set_result(make_simulator(self.settings.simulator))
+        except BaseException as error:
+            self._made.set_exception(error)
+            return
         while not self._stopping.is_set():
             update = self._wanted.get()
             self._driven = update.version
@@ -87,11 +97,12 @@ class ValidationNode(NodeShell):
                 self._lap_driver_called.trigger()
 
     def _validate(self, update: WeightsUpdate) -> dict[str, float]:
-        policy = Policy(update.description, frame_seconds=self._simulator.frame_seconds)
+        simulator = self._made.result()
+        policy = Policy(update.description, frame_seconds=simulator.frame_seconds)
         policy.swap_weights(update)
         policy.epsilon = 0.0
         seeds = range(self.settings.seed, self.settings.seed + self.settings.tracks)
-        return validate(policy, seeds, version=update.version, simulator=self._simulator,
+        return validate(policy, seeds, version=update.version, simulator=simulator,
                         should_stop=self._stopping.is_set)
 
     def _on_result(self) -> None:

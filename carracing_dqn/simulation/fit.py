@@ -19,6 +19,8 @@ IMAGE_TYPE, COMPRESSED_TYPE = 'sensor_msgs/msg/Image', 'sensor_msgs/msg/Compress
 STAMPED_TYPE, PLAIN_TYPE = 'geometry_msgs/msg/TwistStamped', 'geometry_msgs/msg/Twist'
 # rates within this share of each other are one
 RATE_TOLERANCE = 0.15
+# of the gaps between images may be half as long again as the usual one
+LATE_SHARE = 0.05
 # mean colours nearer than this are the same, of 255
 COLOUR_TOLERANCE = 12.0
 # stamps above this are wall-clock time; ns
@@ -47,7 +49,8 @@ class Seen:
         stamps: of each image in ns.
         encodings, sizes: those that came, (width, height).
         refused: why images could not be used, each reason once.
-        frames: of the size that the model sees, by what the car was told: '', 'left', 'right'.
+        frames: series of the size that the model sees, each with what the car was told
+            meanwhile: '', 'left' or 'right'.
         offered: reliability of the publishers of images.
         twist_types: types that are subscribed to on the topic of the twists.
         deaf: why a subscription of it hears nothing from the policy, each a text.
@@ -64,13 +67,16 @@ class Seen:
     encodings: set[str] = dataclasses.field(default_factory=set)
     sizes: set[tuple[int, int]] = dataclasses.field(default_factory=set)
     refused: set[str] = dataclasses.field(default_factory=set)
-    frames: dict[str, list[np.ndarray]] = dataclasses.field(
-        default_factory=lambda: {'': [], 'left': [], 'right': []})
+    frames: list[tuple[str, list[np.ndarray]]] = dataclasses.field(default_factory=list)
     offered: Sequence[str] = ()
     twist_types: Sequence[str] = ()
     deaf: Sequence[str] = ()
     drivers: Sequence[str] = ()
     steps: bool = False
+
+    def told(self, what: str) -> list[list[np.ndarray]]:
+        """Return the series of frames that came while the car was told one thing."""
+        return [series for told, series in self.frames if told == what and series]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -99,7 +105,7 @@ def findings(seen: Seen, wanted: Wanted) -> Iterator[Finding]:
         yield _stamps(seen)
         yield _size(seen, wanted)
         yield _encoding(seen, wanted)
-        if any(seen.frames.values()):
+        if any(series for _, series in seen.frames):
             yield _colours(seen, wanted)
     yield from _twists(seen, wanted)
     if seen.arrivals:
@@ -141,8 +147,9 @@ def _rate(seen: Seen, wanted: Wanted) -> Finding:
     if not gaps or statistics.median(gaps) <= 0:
         return Finding('rate', UNSURE, 'too few images came to tell')
     period = statistics.median(gaps)
+    late = sum(gap > 1.5 * period for gap in gaps)
     text = (f'{1 / period:.1f} Hz by {"arrival" if times is seen.arrivals else "stamp"}, '
-            f'{sum(gap > 1.5 * period for gap in gaps)} of {len(gaps)} gaps too long')
+            f'{late} of {len(gaps)} gaps too long')
     told = wanted.camera.get('rate')
     if told and abs(1 / period / told - 1) > RATE_TOLERANCE:
         return Finding('rate', BAD, f'{text}; the profile says {told:g} Hz',
@@ -151,6 +158,8 @@ def _rate(seen: Seen, wanted: Wanted) -> Finding:
         return Finding('rate', BAD,
                        f'{text}; the model decides every {wanted.decision_seconds:g} s',
                        'a faster camera, or a model that learned from this one')
+    if late > LATE_SHARE * len(gaps):
+        return Finding('rate', UNSURE, text, 'a camera, network or machine that keeps up')
     return Finding('rate', GOOD, text)
 
 
@@ -178,7 +187,7 @@ def _size(seen: Seen, wanted: Wanted) -> Finding:
         return Finding('size', BAD, f'{sizes}; the profile says {told[0]}x{told[1]}',
                        'the size of the camera, or camera.width and height of the profile')
     crop = str(wanted.vehicle.get('camera_crop', ''))
-    if crop and not any(seen.frames.values()):
+    if crop and not any(series for _, series in seen.frames):
         return Finding('size', BAD, f'{sizes}, on which camera_crop {crop} does not fit',
                        "camera_crop:='LEFT,TOP,WIDTH,HEIGHT'")
     if crop:
@@ -209,7 +218,7 @@ def _encoding(seen: Seen, wanted: Wanted) -> Finding:
 
 
 def _colours(seen: Seen, wanted: Wanted) -> Finding:
-    frames = [frame for told in seen.frames.values() for frame in told]
+    frames = [frame for _, series in seen.frames for frame in series]
     mean = np.mean([frame.reshape(-1, 3).mean(0) for frame in frames], axis=0)
     found = f'mean red, green, blue {", ".join(f"{value:.0f}" for value in mean)}'
     if np.ptp(np.concatenate([frame.reshape(-1) for frame in frames])) == 0:
@@ -249,14 +258,14 @@ def _twists(seen: Seen, wanted: Wanted) -> Iterator[Finding]:
 
 
 def _steering(seen: Seen, wanted: Wanted) -> Finding:
-    left, right = seen.frames['left'], seen.frames['right']
+    left, right = seen.told('left'), seen.told('right')
     if not left or not right:
         return Finding('steering', UNSURE, 'not tried' if not seen.drivers else
                        'not tried, another node drives', '--nudge turns it left and right')
     turned = turned_left(left, right)
     if turned is None:
-        return Finding('steering', UNSURE, 'the picture does not turn with the car, or does not '
-                       'change', 'look at it: does it turn left at angular.z above 0?')
+        return Finding('steering', UNSURE, 'the picture does not turn with what the car is told',
+                       'look at it: does it turn left at angular.z above 0?')
     if turned:
         return Finding('steering', GOOD, 'told left, the picture turned as it should')
     scale = float(wanted.vehicle.get('angular_scale', 1.0))

@@ -47,18 +47,25 @@ def turning(frames: Sequence[np.ndarray]) -> float | None:
     return statistics.median(shifts) if shifts else None
 
 
-def turned_left(left: Iterable[np.ndarray], right: Iterable[np.ndarray]) -> bool | None:
+def turned_left(
+    left: Iterable[Sequence[np.ndarray]], right: Iterable[Sequence[np.ndarray]],
+) -> bool | None:
     """
     Return whether a car turned left when it was told to, or None if its pictures do not say.
 
+    Every turn to one side must move the picture further than every turn to the other, so that a
+    camera that moves by itself is not taken for one that obeys.
+
     Args:
-        left: the frames while it was told to turn left.
-        right: and while it was told to turn right.
+        left: the frames of each time that it was told to turn left.
+        right: and of each that it was told to turn right.
     """
-    to_left, to_right = (turning(list(frames)) for frames in (left, right))
-    if to_left is None or to_right is None or abs(to_left - to_right) < LEAST_SHIFT:
+    to_left, to_right = ([turning(frames) for frames in turns] for turns in (left, right))
+    if not to_left or not to_right or None in (*to_left, *to_right):
         return None
-    return to_left > to_right
+    if min(to_left) > max(to_right) + LEAST_SHIFT:
+        return True
+    return False if min(to_right) > max(to_left) + LEAST_SHIFT else None
 
 
 def _upper(pixels: np.ndarray) -> np.ndarray:
