@@ -81,10 +81,19 @@ class Clock:
         return self.seconds
 
 
+def streams(count, names):
+    """Yield `count` transitions of several sources, mixed at random, each with its name."""
+    random = np.random.default_rng(7)
+    sources = [stream(count, seed=number) for number in range(len(names))]
+    for _ in range(count):
+        number = random.integers(len(names))
+        yield next(sources[number]), names[number]
+
+
 def drive(training, transitions, log=None):
     """Do what a driver does with each transition; validations are answered at once."""
     for transition in transitions:
-        training.add(transition)
+        training.add(*(transition if isinstance(transition, tuple) else (transition,)))
         if training.weights_due():
             data = training.next_weights()
             if log is not None:

@@ -28,8 +28,8 @@ class Graph:
         return None
 
     def driver(self, training, **options):
-        return Driver(training, self.publish, say=self.said.append, warn=self.warned.append,
-                      **options)
+        return Driver(training, self.publish, say=self.said.append,
+                      warn=lambda _, text: self.warned.append(text), **options)
 
 
 def feed(driver, transitions):

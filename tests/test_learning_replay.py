@@ -159,3 +159,91 @@ def test_a_restored_buffer_samples_the_same():
     assert all(np.array_equal(a, b) for a, b in zip(first, second))
     with pytest.raises(ValueError, match='replay observations are'):
         ReplayBuffer(30, (2, 2)).put_observations(0, buffer.observations(0, 10))
+
+
+def interleave(buffer, sources, count, seed, truth):
+    """Let sources add by turns drawn at random; note each transition by what tells it apart."""
+    random = np.random.default_rng(seed)
+    for _ in range(count):
+        source = int(random.integers(len(sources)))
+        segment = sources[source]
+        if not segment or not buffer.can_add(source) or random.random() < 0.1:
+            segment[:] = [len(truth)]
+            truth[segment[0]] = None
+            buffer.start(observation(segment[0]), source)
+        number, reward = len(truth), float(random.integers(100))
+        buffer.add(source, reward, observation(number), terminated=False, source=source)
+        truth[segment[-1]] = (tuple(segment), source, reward, number)
+        truth[number] = None
+        segment.append(number)
+
+
+@pytest.mark.parametrize('capacity', [40, 90, 400])
+@pytest.mark.parametrize('frame_stack', [1, 3, 4])
+@pytest.mark.parametrize('n_steps', [1, 3])
+def test_nothing_is_drawn_across_sources(capacity, frame_stack, n_steps):
+    buffer = ReplayBuffer(capacity, (1, 2), frame_stack=frame_stack, n_steps=n_steps, gamma=GAMMA)
+    truth, sources = {}, [[], [], []]
+    seen = set()
+    for seed in range(12):
+        interleave(buffer, sources, 30, seed, truth)
+        batch = buffer.sample(64, np.random.default_rng(seed))
+        for index in range(64):
+            stack = [level(pixels) for pixels in batch.observations[index]]
+            segment, source, reward, after = truth[stack[-1]]
+            whole = [segment[0]] * frame_stack + list(segment)
+            assert stack == whole[-frame_stack:]
+            assert batch.actions[index] == source
+            total, place, discount = 0.0, stack[-1], 1.0
+            for _ in range(n_steps):
+                if truth[place] is None:
+                    break
+                total += discount * truth[place][2]
+                discount *= GAMMA
+                segment, place = truth[place][0], truth[place][3]
+            assert batch.rewards[index] == pytest.approx(total)
+            assert batch.discounts[index] == pytest.approx(discount)
+            whole = [segment[0]] * frame_stack + [*segment, place]
+            assert [level(pixels) for pixels in batch.next_observations[index]] == (
+                whole[-frame_stack:])
+            seen.add(source)
+    assert seen == {0, 1, 2}
+
+
+def test_sources_are_drawn_in_proportion_to_what_they_sent():
+    buffer = ReplayBuffer(1000, (1, 2), frame_stack=2)
+    for source in (0, 1):
+        buffer.start(observation(source), source)
+    for number in range(2000):
+        # one sends three times as often
+        source = int(number % 4 == 0)
+        buffer.add(source, 0.0, observation(number % 50_000), terminated=False, source=source)
+    actions = buffer.sample(4000, np.random.default_rng(0)).actions
+    assert 0.22 < actions.mean() < 0.28
+
+
+@pytest.mark.parametrize('count', [20, 300])
+def test_a_restored_buffer_of_several_sources_samples_the_same(count):
+    buffer, other = (ReplayBuffer(80, (1, 2), frame_stack=3, n_steps=2) for _ in range(2))
+    truth, sources = {}, [[], [], []]
+    interleave(buffer, sources, count, 0, truth)
+    arrays = {name: array.copy() for name, array in buffer.state_arrays().items()}
+    other.load_state(arrays, buffer.written)
+    other.put_observations(buffer.oldest, buffer.observations(buffer.oldest, buffer.written))
+    for round_ in range(6):
+        batches = [own.sample(200, np.random.default_rng(round_)) for own in (buffer, other)]
+        assert all(np.array_equal(a, b) for a, b in zip(*batches))
+        for own in (buffer, other):
+            interleave(own, [list(segment) for segment in sources], 10, round_, dict(truth))
+    assert [own.can_add(number) for own in (buffer, other) for number in range(4)] == 2 * [
+        buffer.can_add(number) for number in range(4)]
+
+
+def test_a_source_that_was_away_while_all_of_it_was_overwritten_begins_anew():
+    buffer = ReplayBuffer(10, (1, 2))
+    assert not buffer.can_add(0)
+    for source in (0, 1):
+        buffer.start(observation(source), source)
+    for number in range(9):
+        assert buffer.can_add(0) == (number < 8)
+        buffer.add(0, 0.0, observation(number), terminated=False, source=1)

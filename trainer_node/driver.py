@@ -26,7 +26,7 @@ from trainer_node.training import Training
 STATUS_EVERY = 20
 
 
-def _quiet(_: str) -> None:
+def _quiet(*_: str) -> None:
     """Say nothing."""
 
 
@@ -49,7 +49,7 @@ class Driver:
     def __init__(
         self, training: Training, publish: Callable[[bytes], Mapping[str, float] | None], *,
         last_validation_seconds: float = 0.0, say: Callable[[str], None] = _quiet,
-        warn: Callable[[str], None] = _quiet,
+        warn: Callable[[str, str], None] = _quiet,
     ) -> None:
         """
         Hand out the first weights.
@@ -61,7 +61,7 @@ class Driver:
             last_validation_seconds: how long the validation of the last weights is waited for;
                 0 does not ask for it.
             say: takes a line about what has happened.
-            warn: takes a line about what could not be used.
+            warn: takes what could not be used, `learning` or a source, and a line about it.
         """
         self.training = training
         self.ended = self.done = False
@@ -87,9 +87,13 @@ class Driver:
         """Take the result of a validation, `step.VALIDATION_FIELDS`, at the next turn."""
         self._requests.put(functools.partial(self._take_validation, values))
 
-    def add(self, transition: Transition) -> None:
+    def add(self, transition: Transition, source: str = '') -> None:
         """
         Learn from the next transition, unless learning has ended.
+
+        Args:
+            transition: in the order of its source.
+            source: whose it is, if there are several.
 
         Raises:
             LearningError: learning cannot go on.
@@ -97,10 +101,10 @@ class Driver:
         if self.ended:
             return
         try:
-            self.training.add(transition)
+            self.training.add(transition, source)
         except MessageError as error:
             self.left_out = str(error)
-            self._warn(f'left out: {error}')
+            self._warn(source or 'learning', f'left out: {error}')
         if self.training.learning.taken % STATUS_EVERY == 0:
             self.status = self.training.status()
 
@@ -115,7 +119,7 @@ class Driver:
             self._requests.get()()
         if self.ended:
             if not self.done and time.monotonic() > self._give_up_at:
-                self._warn('no validation of the last weights came in time')
+                self._warn('learning', 'no validation of the last weights came in time')
                 self.done = True
             return not self.done
         training = self.training
@@ -168,7 +172,7 @@ class Driver:
         try:
             better = self.training.record_validation(values)
         except MessageError as error:
-            self._warn(f'left out: {error}')
+            self._warn('learning', f'left out: {error}')
             return
         if better:
             self._say(f'version {values["version"]:.0f} is the best so far: '

@@ -31,6 +31,30 @@ from trainer_node.shaping import Shaping
 MOVING_AVERAGE_EPISODES = 20
 # of an error about how two models differ
 MAX_TEXT = 300
+MAX_SOURCES = 4096
+"""Sources with a name that a run remembers, whether they are there or not."""
+
+
+@dataclasses.dataclass
+class SourceState:
+    """
+    What is remembered of a named source, one of several, from session to session.
+
+    Attributes:
+        number: what it is called in the replay, from 1.
+        segment_end: stamp in ns of the observation that its next transition of the same segment
+            begins with; None if that begins another.
+        episodes, decisions: episodes of it that ended, transitions of it that were inserted.
+        last_return: of its last episode; None before the first.
+        left_out: why transitions of it were left out, as in `Learning`.
+    """
+
+    number: int
+    segment_end: int | None = None
+    episodes: int = 0
+    decisions: int = 0
+    last_return: float | None = None
+    left_out: dict[str, int] = dataclasses.field(default_factory=dict)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,6 +73,7 @@ class LearningState:
     returns: list[float]
     random: dict[str, Any]
     learner_random: dict[str, Any]
+    sources: dict[str, SourceState] = dataclasses.field(default_factory=dict)
 
 
 class Learning:
@@ -67,6 +92,7 @@ class Learning:
         taken: transitions that came, with those that were left out.
         left_out: why transitions were left out: `foreign_actions`, `foreign_frames`, `bad_steps`.
         returns: of the last episodes.
+        sources: what is remembered of each source that has a name, when there are several.
     """
 
     State = LearningState
@@ -92,43 +118,71 @@ class Learning:
         self._learning_rate = schedules.LearningRate(settings)
         self.episodes = self.decisions = self.taken = 0
         self.left_out: Counter[str] = Counter()
-        # stamp of the observation that the next transition of the same segment begins with
-        self._segment_end: int | None = None
+        # of the one source without a name
+        self._only = SourceState(0)
+        self.sources: dict[str, SourceState] = {}
         self.returns: deque[float] = deque(maxlen=MOVING_AVERAGE_EPISODES)
 
-    def insert(self, transition: Transition) -> None:
+    def insert(self, transition: Transition, source: str = '') -> None:
         """
         Take the next transition into the replay buffer.
 
+        Args:
+            transition: in the order of its source.
+            source: whose it is, if there are several.
+
         Raises:
-            LearningError: its steps lack what a shaping term needs.
-            MessageError: the command is no action of the space, the frame has another size or the
-                reward is not finite; the transition is left out.
+            LearningError: its steps lack what a shaping term needs, and it is the one source.
+            MessageError: the command is no action of the space, the frame has another size, the
+                reward is not finite, or one of several sources lacks what a shaping term needs;
+                the transition is left out.
         """
         self.taken += 1
-        segment_end, self._segment_end = self._segment_end, None
+        of = self.source(source) if source else self._only
+        segment_end, of.segment_end = of.segment_end, None
         action = self._counted(
-            'foreign_actions', self.description.action_space.encode, transition.command)
+            of, 'foreign_actions', self.description.action_space.encode, transition.command)
         next_observation = self._counted(
-            'foreign_frames', self._preprocess, transition.next_frame)
-        reward = self._counted('bad_steps', self._shaping.reward, transition)
-        if transition.stamp != segment_end:
+            of, 'foreign_frames', self._preprocess, transition.next_frame)
+        reward = self._counted(of, 'bad_steps', self._shaping.reward, transition)
+        if transition.stamp != segment_end or not self.replay.can_add(of.number):
             self.replay.start(
-                self._counted('foreign_frames', self._preprocess, transition.frame))
+                self._counted(of, 'foreign_frames', self._preprocess, transition.frame),
+                of.number)
         self.replay.add(
-            action, reward, next_observation, terminated=self._shaping.terminated(transition))
+            action, reward, next_observation, terminated=self._shaping.terminated(transition),
+            source=of.number)
         if not transition.step.ended:
-            self._segment_end = transition.next_stamp
+            of.segment_end = transition.next_stamp
         self.decisions += 1
+        of.decisions += 1
         self.limiter.insert()
 
-    def _counted(self, why: str, function: Any, argument: Any) -> Any:
+    def source(self, name: str) -> SourceState:
+        """
+        Return what is remembered of a source with a name, from now on if it is new.
+
+        Raises:
+            MessageError: there have been too many.
+        """
+        found = self.sources.get(name)
+        if found is None:
+            if len(self.sources) == MAX_SOURCES:
+                raise MessageError(f'{name}: {MAX_SOURCES} sources have been there before it')
+            found = self.sources[name] = SourceState(len(self.sources) + 1)
+        return found
+
+    def _counted(self, of: SourceState, why: str, function: Any, argument: Any) -> Any:
         """Return what a function gives; count a MessageError before it goes on."""
         try:
             return function(argument)
-        except MessageError:
+        except (MessageError, LearningError) as error:
+            if isinstance(error, LearningError) and of is self._only:
+                raise
             self.left_out[why] += 1
-            raise
+            of.left_out[why] = of.left_out.get(why, 0) + 1
+            # one of several does not end the learning from the others
+            raise MessageError(str(error)) from None
 
     @property
     def due(self) -> bool:
@@ -151,8 +205,12 @@ class Learning:
         self.limiter.sampled()
         return figures
 
-    def end_episode(self, episode_return: float) -> None:
-        """Take note of the end of an episode."""
+    def end_episode(self, episode_return: float, source: str = '') -> None:
+        """Take note of the end of an episode of a source."""
+        if source:
+            of = self.sources[source]
+            of.episodes += 1
+            of.last_return = episode_return
         self.episodes += 1
         self.returns.append(episode_return)
         self._learning_rate.episode_ended(episode_return)
@@ -207,10 +265,11 @@ class Learning:
     def state(self) -> LearningState:
         """Return the rest of it."""
         return LearningState(
-            self.episodes, self.decisions, self.taken, dict(self.left_out), self._segment_end,
+            self.episodes, self.decisions, self.taken, dict(self.left_out),
+            self._only.segment_end,
             self.replay.written, self.learner.updates, self.limiter.state(),
             self._learning_rate.state(), list(self.returns), self._random.bit_generator.state,
-            self.learner.random_state)
+            self.learner.random_state, self.sources)
 
     def restore(self, state: LearningState, arrays: dict[str, np.ndarray]) -> None:
         """Go on from a checkpoint; KeyError, ValueError, ... if it does not fit."""
@@ -224,7 +283,11 @@ class Learning:
         self.replay.load_state(of('replay.'), state.written)
         self.episodes, self.decisions, self.taken = state.episodes, state.decisions, state.taken
         self.left_out = Counter(state.left_out)
-        self._segment_end = state.segment_end
+        self._only.segment_end = state.segment_end
+        self.sources = {name: dataclasses.replace(of) for name, of in state.sources.items()}
+        if sorted(of.number for of in self.sources.values()) != [
+                *range(1, len(self.sources) + 1)] or len(self.sources) > MAX_SOURCES:
+            raise ValueError('its sources are not numbered from 1')
         self.limiter.restore(state.limiter)
         self._learning_rate.restore(state.learning_rate)
         self.returns.extend(state.returns)

@@ -3,11 +3,15 @@
 """
 The replay buffer: every observation once, samples by a few vectorised reads.
 
-Observations lie in a ring in the order they came. A slot holds an observation and, once it is
-known, what was done on seeing it: action, reward and whether the rules ended the episode there.
-The last observation of a trajectory segment has no action, so whatever walks forward from a slot
-stops there, and `age`, the number of observations before it in its segment, stops whatever looks
-back.
+Observations lie in a ring in the order they came, those of several sources mixed. A slot holds an
+observation and, once it is known, what was done on seeing it: action, reward and whether the rules
+ended the episode there. Each slot knows how far before and after it the neighbours in its segment
+lie, which are of its own source. The last observation of a segment has no action, so whatever
+walks forward from a slot stops there; the first one has none before it, so whatever looks back
+stays there.
+
+One ring serves all sources: a source that is gone keeps no room, and a uniform draw takes from
+each in proportion to what it has sent.
 """
 from __future__ import annotations
 
@@ -55,6 +59,7 @@ class ReplayBuffer:
     """
 
     _ARRAYS = ('actions', 'rewards', 'terminated', 'acted', 'ages')
+    _OF_SEVERAL = ('sources',)
 
     def __init__(
         self, capacity: int, shape: tuple[int, int], *, frame_stack: int = 1, n_steps: int = 1,
@@ -74,8 +79,14 @@ class ReplayBuffer:
         self._terminated = np.zeros(capacity, bool)
         self._acted = np.zeros(capacity, bool)
         self._ages = np.zeros(capacity, np.int32)
+        self._sources = np.zeros(capacity, np.uint16)
+        # slots to the neighbours in the segment; 0 back from the first
+        self._back = np.zeros(capacity, np.int32)
+        self._ahead = np.zeros(capacity, np.int32)
         # slots ever written; slot number n lies at n % capacity
         self.written = 0
+        # number of the newest slot of each source
+        self._newest: dict[int, int] = {}
         self._gathered = np.empty((0, *shape, frame_stack), np.uint8)
 
     def __len__(self) -> int:
@@ -87,35 +98,47 @@ class ReplayBuffer:
         """Return the number of transitions held."""
         return int(np.count_nonzero(self._acted[:len(self)]))
 
-    def start(self, observation: np.ndarray) -> None:
-        """Begin a segment with its first observation, uint8 (H, W)."""
-        self._write(observation, 0)
+    def start(self, observation: np.ndarray, source: int = 0) -> None:
+        """Begin a segment of a source with its first observation, uint8 (H, W)."""
+        self._write(observation, 0, source, 0)
+
+    def can_add(self, source: int = 0) -> bool:
+        """Return whether the newest observation of a source will outlast the next one."""
+        newest = self._newest.get(source)
+        return newest is not None and newest > self.written - self.capacity
 
     def add(
         self, action: object, reward: float, next_observation: np.ndarray, *, terminated: bool,
+        source: int = 0,
     ) -> None:
         """
-        Add what was done on seeing the newest observation, and the observation that followed.
+        Add what a source did on seeing its newest observation, and the observation that followed.
 
         Args:
             action: the encoded action.
             reward: what it earned, shaped and scaled.
             next_observation: uint8 (H, W).
             terminated: whether the rules ended the episode. After any end call `start` next.
+            source: whose it is, for which `can_add` holds; 0 to 65535.
         """
-        newest = (self.written - 1) % self.capacity
+        distance = self.written - self._newest[source]
+        newest = self._newest[source] % self.capacity
         self._actions[newest] = action
         self._rewards[newest] = reward
         self._terminated[newest] = terminated
         self._acted[newest] = True
-        self._write(next_observation, int(self._ages[newest]) + 1)
+        self._ahead[newest] = distance
+        self._write(next_observation, int(self._ages[newest]) + 1, source, distance)
 
-    def _write(self, observation: np.ndarray, age: int) -> None:
+    def _write(self, observation: np.ndarray, age: int, source: int, back: int) -> None:
         slot = self.written % self.capacity
         self._observations[slot] = observation
         self._ages[slot] = age
         self._acted[slot] = False
         self._terminated[slot] = False
+        self._sources[slot] = source
+        self._back[slot] = back
+        self._newest[source] = self.written
         self.written += 1
 
     def sample(self, batch_size: int, random: np.random.Generator) -> Batch:
@@ -128,10 +151,10 @@ class ReplayBuffer:
             ValueError: no transition is held.
         """
         numbers = self._draw(batch_size, random)
-        rewards, discounts, steps = self._look_ahead(numbers)
+        rewards, discounts, after = self._look_ahead(numbers)
         slots = numbers % self.capacity
         actions = self._actions[slots]
-        observations = self._stacks(np.concatenate([numbers, numbers + steps]))
+        observations = self._stacks(np.concatenate([slots, after]))
         if self._mirror is not None:
             flipped = random.random(batch_size) < 0.5
             actions[flipped] = self._mirror(actions[flipped])
@@ -150,39 +173,58 @@ class ReplayBuffer:
             raise ValueError('the replay buffer holds no transition')
         numbers = random.integers(low, high, count)
         for _ in range(20):
-            wrong = np.flatnonzero(~self._acted[numbers % self.capacity])
+            wrong = np.flatnonzero(~self._usable(numbers))
             if not len(wrong):
                 return numbers
             numbers[wrong] = random.integers(low, high, len(wrong))
         # hardly any slot holds an action: choose among those that do
         usable = np.arange(low, high)
-        usable = usable[self._acted[usable % self.capacity]]
+        usable = usable[self._usable(usable)]
         if not len(usable):
             raise ValueError('the replay buffer holds no transition')
         return usable[random.integers(0, len(usable), count)]
 
+    def _usable(self, numbers: np.ndarray) -> np.ndarray:
+        """Return which slots hold an action and a whole stack, bool (N,)."""
+        slots = numbers % self.capacity
+        usable = self._acted[slots]
+        if len(self._newest) > 1 and self.written > self.capacity:
+            # between the observations of a stack there are those of other sources, and the first
+            # ones of it may be overwritten
+            reach = np.zeros(len(numbers), np.int64)
+            for _ in range(self.frame_stack - 1):
+                distances = self._back[slots]
+                reach += distances
+                slots = (slots - distances) % self.capacity
+                # what was overwritten leads anywhere, but no further back than here
+                usable = usable & (numbers - reach >= self.oldest)
+        return usable
+
     def _look_ahead(self, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return rewards over up to n steps, discounts after them, and how many there were."""
+        """Return rewards over up to n steps, discounts after them, and the slots after them."""
         rewards = np.zeros(len(numbers))
         discounts = np.ones(len(numbers))
-        steps = np.zeros(len(numbers), np.int64)
         alive = np.ones(len(numbers), bool)
         ended = np.zeros(len(numbers), bool)
-        for step in range(self.n_steps):
-            slots = (numbers + step) % self.capacity
+        slots = numbers % self.capacity
+        for _ in range(self.n_steps):
             alive = alive & self._acted[slots]
             rewards += np.where(alive, discounts * self._rewards[slots], 0.0)
             discounts = np.where(alive, discounts * self.gamma, discounts)
             ended |= alive & self._terminated[slots]
-            steps += alive
+            slots = (slots + alive * self._ahead[slots]) % self.capacity
         discounts[ended] = 0.0
-        return rewards.astype(np.float32), discounts.astype(np.float32), steps
+        return rewards.astype(np.float32), discounts.astype(np.float32), slots
 
-    def _stacks(self, numbers: np.ndarray) -> np.ndarray:
+    def _stacks(self, newest: np.ndarray) -> np.ndarray:
         """Return the stacks that end at slots, uint8 (N, stack, H, W), channels last."""
-        back = np.arange(self.frame_stack - 1, -1, -1)
-        ages = self._ages[numbers % self.capacity]
-        slots = (numbers[:, None] - np.minimum(back, ages[:, None])) % self.capacity
+        slots = np.empty((len(newest), self.frame_stack), np.int64)
+        slots[:, -1] = newest
+        for place in range(self.frame_stack - 2, -1, -1):
+            # below 0 it counts from the end, as numpy does
+            newest = newest - self._back[newest]
+            slots[:, place] = newest
+        slots %= self.capacity
         if len(self._gathered) != len(slots):
             self._gathered = np.empty(
                 (len(slots), *self._observations.shape[1:], self.frame_stack), np.uint8)
@@ -215,7 +257,8 @@ class ReplayBuffer:
 
     def state_arrays(self) -> dict[str, np.ndarray]:
         """Return the filled part of each array but the observations, as views."""
-        return {name: getattr(self, f'_{name}')[:len(self)] for name in self._ARRAYS}
+        names = self._ARRAYS + self._OF_SEVERAL * bool(self._sources[:len(self)].any())
+        return {name: getattr(self, f'_{name}')[:len(self)] for name in names}
 
     def load_state(self, arrays: dict[str, np.ndarray], written: int) -> None:
         """
@@ -225,10 +268,26 @@ class ReplayBuffer:
             ValueError: arrays of another capacity.
         """
         size = min(written, self.capacity)
-        for name in self._ARRAYS:
+        for name in (*self._ARRAYS, *(name for name in self._OF_SEVERAL if name in arrays)):
             own = getattr(self, f'_{name}')
             if arrays[name].shape != (size, *own.shape[1:]) or arrays[name].dtype != own.dtype:
                 raise ValueError(f'replay {name} are {arrays[name].dtype} {arrays[name].shape}; '
                                  f'expected {own.dtype} {(size, *own.shape[1:])}')
             own[:size] = arrays[name]
         self.written = written
+        self._link()
+
+    def _link(self) -> None:
+        """Find the neighbours in each segment: a source has written them in their order."""
+        numbers = np.arange(self.oldest, self.written)
+        numbers = numbers[np.argsort(self._sources[numbers % self.capacity], kind='stable')]
+        slots = numbers % self.capacity
+        sources = self._sources[slots]
+        same = sources[1:] == sources[:-1]
+        distances = np.diff(numbers)
+        self._ahead[slots[:-1]] = distances * same
+        # what lay before the first of a source is overwritten, beyond the oldest
+        back = numbers - self.oldest + 1
+        back[1:][same] = distances[same]
+        self._back[slots] = back * (self._ages[slots] > 0)
+        self._newest = dict(zip(sources.tolist(), numbers.tolist()))

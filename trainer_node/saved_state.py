@@ -5,7 +5,8 @@ What a checkpoint holds beside arrays: dataclasses as JSON, checked by type when
 
 A field may be an `int` (a count: whole and not negative), a `float` (finite), a `bool`, a `str`,
 `Seconds` (finite and not negative), another such dataclass, any of them `| None`, a
-`list[...]` or `dict[str, ...]` of them, or `dict[str, Any]` for what somebody else will check.
+`list[...]` or `dict[str, ...]` of them, or `dict[str, Any]` for what somebody else will check. A
+field with a default may be missing: it is younger than the checkpoint.
 """
 from __future__ import annotations
 
@@ -37,13 +38,15 @@ def from_json(kind: type[Kind], values: Any, path: str) -> Kind:
     if not isinstance(values, dict):
         raise RunError(f'{path} is {_shown(values)}; expected a mapping')
     hints = get_type_hints(kind, include_extras=True)
+    needed = {field.name for field in dataclasses.fields(kind)
+              if field.default is field.default_factory is dataclasses.MISSING}
     for problem, names in (
-        ('lacks', hints.keys() - values.keys()), ('has unknown', values.keys() - hints.keys()),
+        ('lacks', needed - values.keys()), ('has unknown', values.keys() - hints.keys()),
     ):
         if names:
             raise RunError(f'{path} {problem} {sorted(names)[0]!r}'[:200])
     return kind(**{name: _checked(hint, values[name], f'{path}.{name}')
-                   for name, hint in hints.items()})
+                   for name, hint in hints.items() if name in values})
 
 
 def _checked(hint: Any, value: Any, path: str) -> Any:

@@ -209,21 +209,24 @@ class Training:
         handed_out = self.selection.epsilon
         return self.learning.epsilon if handed_out is None else handed_out
 
-    def add(self, transition: Transition) -> int:
+    def add(self, transition: Transition, source: str = '') -> int:
         """
         Take the next transition and make the updates that are due.
+
+        Args:
+            transition: in the order of its source.
+            source: whose it is, if there are several.
 
         Returns:
             How many updates were made.
 
         Raises:
             LearningError: the loss is not finite, or a shaping term lacks what it needs.
-            MessageError: the command is no action of the space, or the frame has another size;
-                the transition is left out.
+            MessageError: the transition is left out, as `Learning.insert` says.
         """
         learning, updates = self.learning, self.learning.learner.updates
         try:
-            learning.insert(transition)
+            learning.insert(transition, source)
             while learning.due:
                 self._record.updated(
                     learning.update(self.progress), learning, epsilon=learning.epsilon,
@@ -234,7 +237,7 @@ class Training:
         ended = transition.step.ended
         if ended:
             epsilon = self.acting_epsilon
-            learning.end_episode(transition.step.episode_return)
+            learning.end_episode(transition.step.episode_return, source)
             self._record.episode(
                 transition.step, learning, epsilon=epsilon, version=self.version,
                 seconds=self.wall_seconds)
