@@ -135,7 +135,11 @@ class AdaptiveSubscription:
     @property
     def matched(self) -> int:
         """Return how many publishers it hears: those that fit, and that have been found."""
-        return self.subscription.get_publisher_count()
+        try:
+            return self.subscription.get_publisher_count()
+        except InvalidHandle:
+            # another thread is making it anew
+            return 0
 
     def take(self) -> bool:
         """Take one message, if there is one, and call the callback; for polled ones."""
@@ -144,6 +148,10 @@ class AdaptiveSubscription:
             return False
         self._receive(message)
         return True
+
+    def destroy(self) -> None:
+        """Hear nothing more; who takes meanwhile in another thread gets nothing."""
+        self._destroy(self.subscription)
 
     def watch(self) -> None:
         """Look at the graph and be made anew if need be; to be called twice a second or so."""

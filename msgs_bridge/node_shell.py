@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 import dataclasses
 import time
 from typing import Any
@@ -179,6 +179,11 @@ class NodeShell(Node):
             self._eager.append(subscription)
         return subscription
 
+    def unsubscribe(self, subscription: AdaptiveSubscription) -> None:
+        """Hear nothing more of a subscription that is not eager."""
+        self._heard = [one for one in self._heard if one[1] is not subscription]
+        subscription.destroy()
+
     @property
     def eager(self) -> bool:
         """Return whether the node has eager subscriptions."""
@@ -230,6 +235,10 @@ class NodeShell(Node):
         """Return level, summary and values for the diagnostics; nodes add theirs."""
         return DiagnosticStatus.OK, 'running', {}
 
+    def parts_health(self) -> Iterable[tuple[str, bytes, str, dict[str, object]]]:
+        """Return name, level, summary and values of parts that have a health of their own."""
+        return ()
+
     def warn_of(self, what: str, text: str) -> None:
         """Log (throttled) what has happened to something, and warn of it for a while."""
         now = time.monotonic()
@@ -264,11 +273,12 @@ class NodeShell(Node):
             f'{what}_{topic}': count
             for topic, subscription in self._heard
             for what, count in subscription.counts.items()}
-        status.values = [
-            KeyValue(key=key, value=f'{value:.6g}' if isinstance(value, float)
-                     else plain(value, VALUE_LENGTH))
-            for key, value in {**values, **self.counts, **counted}.items()]
-        message.status = [status]
+        status.values = _key_values({**values, **self.counts, **counted})
+        message.status = [status, *(
+            DiagnosticStatus(
+                level=level, name=f'{status.name}: {part}', message=plain(text, SUMMARY_LENGTH),
+                hardware_id=status.hardware_id, values=_key_values(figures))
+            for part, level, text, figures in self.parts_health())]
         self._diagnostics.publish(message)
 
     def settings_changed(self) -> None:
@@ -315,3 +325,8 @@ class NodeShell(Node):
             self.settings = dataclasses.replace(self.settings, **changes)
             self.settings_changed()
         return SetParametersResult(successful=True)
+
+
+def _key_values(values: Mapping[str, object]) -> list[KeyValue]:
+    return [KeyValue(key=key, value=f'{value:.6g}' if isinstance(value, float)
+                     else plain(value, VALUE_LENGTH)) for key, value in values.items()]

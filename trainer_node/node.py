@@ -6,9 +6,10 @@ trainer_node: transitions in, better weights out.
 Purpose: join `image_raw`, `step` and `cmd_vel` into transitions, learn from them, publish weights.
 Images and twists go through the same camera and scale as those of the policy.
 
-Subscribes: `image_raw`, `step`, `cmd_vel`, `validation`. Publishes: `weights`, `/diagnostics`.
-Services: `~/save`, `~/evaluate` (std_srvs/Trigger). Calls: `~/hold` of the simulator, if it has
-that.
+Subscribes: `image_raw`, `step`, `cmd_vel`, `validation`; with `sources` the first three and
+`episode` of every car that they mean, as it appears. Publishes: `weights`, `/diagnostics`.
+Services: `~/save`, `~/evaluate` (std_srvs/Trigger). Calls: `~/hold` of the simulators, if they
+have that.
 Parameters: `trainer_node/settings.py`, hyperparameters in `trainer_node/hyperparameters.py`.
 
 Behaviour when things go wrong: a message that cannot be used is counted and logged (throttled); a
@@ -16,11 +17,12 @@ transition with a lost part is dropped and counted; when nothing can be joined, 
 name the topic that is to blame. On any signal everything is saved and what waits is dropped; a
 loss that is not finite, or a step that lacks what a shaping term needs, ends learning, and the
 checkpoint of before is kept. The log says where, or that it could not be saved (seed document
-4.2.2).
+4.2.2). Of several cars, one that cannot be learned from is named and left out.
 """
 from __future__ import annotations
 
 from array import array
+from collections.abc import Iterator
 import sys
 import threading
 import time
@@ -31,19 +33,19 @@ from msgs_bridge import topics
 from msgs_bridge.errors import BridgeError
 from msgs_bridge.named_values import read_named_values
 from msgs_bridge.node_shell import Finished, NodeShell, run_node
-from msgs_bridge.stamps import to_nanoseconds
-from msgs_bridge.step import read_step, VALIDATION_FIELDS
-from msgs_bridge.twists import read_command
+from msgs_bridge.step import VALIDATION_FIELDS
 from std_msgs.msg import UInt8MultiArray
-from std_srvs.srv import SetBool, Trigger
+from std_srvs.srv import Trigger
+from trainer_node.car import Car
 from trainer_node.driver import Driver
 from trainer_node.open_run import open_training, read_overrides, run_settings
 from trainer_node.settings import TrainerSettings
-from trainer_node.source import Source
+from trainer_node.sources import MOST, SourceNames, Sources
 
-# Messages are taken topic by topic in rounds, so that no topic runs far ahead of the others.
-TAKEN_AT_ONCE = 20
-ROUNDS = 10
+# how often cars are looked for in the graph
+LOOK_SECONDS = 1.0
+# what tells a car in the graph
+CAR_SUFFIX = f'/{topics.STEP.name}'
 
 # How long the learning thread sleeps when nothing has come in.
 IDLE_SECONDS = 0.0005
@@ -62,6 +64,7 @@ class TrainerNode(NodeShell):
         """Declare parameters, create or resume the run and start to learn."""
         super().__init__('trainer_node', TrainerSettings)
         settings = self.settings
+        self._names = SourceNames(settings.sources, self.get_namespace())
         training = open_training(
             settings.run, run_settings(
                 settings.run, settings.preset,
@@ -71,32 +74,58 @@ class TrainerNode(NodeShell):
         preprocessing = training.description.preprocessing
         self._camera = Camera(
             settings, preprocessing.frame_height, preprocessing.frame_width)
-        self._source = Source(settings.queue_limit)
+        self._sources = Sources(settings.queue_limit)
+        self._cars: tuple[Car, ...] = ()
+        self._problems: dict[str, str] = {}
         self._failure: Exception | None = None
         self._holding = False
         self._stopping = threading.Event()
         self._weights_publisher = self.publisher(topics.WEIGHTS)
-        self._inputs = (
-            self.subscription(
-                topics.IMAGE, self._on_image, depth=topics.STALL_DEPTH, polled=True,
-                type_name='sensor_msgs/msg/CompressedImage'
-                if settings.camera_compressed else None),
-            self.subscription(topics.STEP, self._on_step, polled=True),
-            self.subscription(topics.CMD_VEL, self._on_twist, polled=True))
+        if self._names:
+            training.several = True
+            for name in self._names.given:
+                self._add_car(name)
+            self.create_timer(LOOK_SECONDS, self._look_for_cars)
+        else:
+            self._add_car('')
         self.subscription(topics.VALIDATION, self._on_validation)
         self.create_service(Trigger, '~/save', self._on_save)
         self.create_service(Trigger, '~/evaluate', self._on_evaluate)
-        self._hold = self.create_client(SetBool, f'{settings.simulator}/hold')
         self._learner_called = self.create_guard_condition(self._on_learner)
         self._driver = Driver(
             training, self._publish_weights, say=self.get_logger().info,
-            warn=lambda text: self.warn_of('learning', text),
+            warn=self.warn_of,
             last_validation_seconds=settings.last_validation_seconds)
         self._learning = threading.Thread(target=self._learn, name='learning')
         self._learning.start()
         self.get_logger().info(f'learning into {settings.run}')
 
     # --- ROS thread
+
+    def _add_car(self, name: str) -> None:
+        self._cars = (*self._cars, Car(
+            self, self._sources.add(name), self._camera, self.settings, others=len(self._cars)))
+
+    def _look_for_cars(self) -> None:
+        """Take in cars that have appeared, and forget those that are gone for long."""
+        for car in [car for car in self._cars
+                    if car.source.name not in self._names.given and car.gone()]:
+            self._cars = tuple(one for one in self._cars if one is not car)
+            self._sources.remove(car.source)
+            car.forget()
+            self.get_logger().info(f'{car.source.name} is gone')
+        known = {car.source.name for car in self._cars}
+        found = self._names.matching(
+            name.removesuffix(CAR_SUFFIX) for name, _ in self.get_topic_names_and_types()
+            if name.endswith(CAR_SUFFIX))
+        for name in found:
+            if name in known or not self.count_publishers(f'{name}{CAR_SUFFIX}'):
+                continue
+            if len(self._cars) >= MOST:
+                self.warn_of('sources', f'{name} is left out: there are {MOST} cars')
+                break
+            self._add_car(name)
+            self.get_logger().info(f'{name} has come')
 
     def _on_validation(self, message: object) -> None:
         self._driver.validated(read_named_values(message, VALIDATION_FIELDS))
@@ -120,54 +149,16 @@ class TrainerNode(NodeShell):
         response.message = 'weights go out for validation; the result comes on validation'
         return response
 
-    # --- learning thread: messages to transitions
-
-    def _on_image(self, message: object) -> None:
-        frame = self._camera.frame(message)
-        if len(message.data) > 2 * frame.nbytes:
-            # a part of a large image would keep all of it in memory
-            frame = frame.copy()
-        self._put(self._source.add_image(to_nanoseconds(message.header.stamp), frame))
-
-    def _on_step(self, message: object) -> None:
-        step = read_step(read_named_values(message))
-        self._put(self._source.add_step(to_nanoseconds(message.header.stamp), step))
-
-    def _on_twist(self, message: object) -> None:
-        command = self.settings.from_robot(read_command(message.twist))
-        self._put(self._source.add_twist(to_nanoseconds(message.header.stamp), command))
-
-    def _put(self, complete: bool) -> None:
-        if not complete:
-            # a simulator without ~/hold, or a bag played too fast
-            self.warn_of('transitions', 'they come faster than they are learned from and nobody '
-                         f'answers {self.settings.simulator}/hold: some are dropped')
+    # --- learning thread
 
     def _take_messages(self) -> None:
-        """Take what has come in, topic by topic, and hold the simulator back or let it go on."""
-        for _ in range(ROUNDS):
-            taken = 0
-            for subscription in self._inputs:
-                for _ in range(TAKEN_AT_ONCE):
-                    if not self.take(subscription):
-                        break
-                    taken += 1
-            if not taken:
-                break
-        self._source.looked()
-        hold = self._source.should_hold(self._holding)
-        if hold != self._holding:
-            self._set_hold(hold)
-
-    def _set_hold(self, hold: bool) -> None:
-        """Hold the simulator back, or let it go on: the limiter of the replay ratio."""
-        if not self.context.ok() or not self._hold.service_is_ready():
-            return
-        self._holding = hold
-        self.counts['held_back'] += hold
-        self._hold.call_async(SetBool.Request(data=hold))
-
-    # --- learning thread: transitions to weights
+        """Take what has come in from every car, and hold all back or let them go on."""
+        for car in self._cars:
+            car.take_messages()
+        self._holding = self._sources.should_hold(self._holding)
+        for car in self._cars:
+            if self._holding or car.holding:
+                car.hold(self._holding)
 
     def _learn(self) -> None:
         try:
@@ -182,13 +173,16 @@ class TrainerNode(NodeShell):
         # on stop what waits is dropped: learning from it would take the time to save
         while not self._stopping.is_set():
             self._take_messages()
-            transition = self._source.take()
-            if transition is not None:
-                driver.add(transition)
-            else:
-                time.sleep(IDLE_SECONDS)
-            if not driver.turn():
-                break
+            # looking for messages of many cars takes time, so it is done once for all of them
+            for _ in range(max(len(self._cars), 1)):
+                taken = self._sources.take()
+                if taken is not None:
+                    driver.add(*taken)
+                if not driver.turn():
+                    return
+                if taken is None:
+                    time.sleep(IDLE_SECONDS)
+                    break
 
     def _publish_weights(self, data: bytes) -> None:
         """Send the next version of the weights."""
@@ -201,32 +195,53 @@ class TrainerNode(NodeShell):
     # --- both
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
-        """Return the state of learning and of the joiner, or why nothing is learned."""
-        values = {**self._driver.status, **self._source.figures(), 'holding': self._holding}
+        """Return the state of learning and of its sources, or why nothing is learned."""
+        self._problems = {car.source.name: car.problem() for car in self._cars
+                          if car.source.name and not self._driver.ended}
+        values = {**self._driver.status, **self._source_figures(), 'holding': self._holding}
         if self._failure is not None:
             return DiagnosticStatus.ERROR, f'failed: {self._failure}', values
-        problem = self._silence() or self._source.losses()
+        problem = self._problem()
         if problem:
             return DiagnosticStatus.WARN, problem, values
         return DiagnosticStatus.OK, 'learning', values
 
-    def _silence(self) -> str:
-        """Return why nothing can be joined, '' if something is."""
-        topic = self._source.silent_topic
-        if not topic or self._driver.ended:
-            return ''
-        subscription = dict(zip(
-            (topics.IMAGE.name, topics.STEP.name, topics.CMD_VEL.name), self._inputs))[topic]
-        if not subscription.publishers:
-            return f'no {topic}: nobody publishes {subscription.name}'
-        if len(subscription.unheard) == subscription.publishers:
-            return f'no {topic}: nothing that is published on {subscription.name} fits'
-        if self.counts[f'rejected_{topic}'] and not self._source.joiner.counts['joined']:
-            return f'no {topic} that can be used'
-        waiting = self._source.joiner.waiting
-        if waiting:
-            return f'no {topic} with the stamp of the oldest of {waiting} steps that wait for it'
-        return f'no {topic} at the moment'
+    def _source_figures(self) -> dict[str, object]:
+        if not self._names:
+            return self._cars[0].source.figures()
+        return {'cars': len(self._cars), 'waiting': sum(len(car.source) for car in self._cars)}
+
+    def _problem(self) -> str:
+        """Return why nothing is learned, or what is not; '' if all is well."""
+        if self.count_publishers(self._weights_publisher.topic_name) > 1:
+            return f'another trainer publishes {self._weights_publisher.topic_name}, too'
+        if not self._names:
+            car = self._cars[0]
+            return (not self._driver.ended and car.silence()) or car.source.losses()
+        if not self._cars:
+            return f'no car: nobody publishes step below {self.settings.sources}'
+        odd = [car.source.name for car in self._cars if self._problems.get(car.source.name)]
+        first = f'{odd[0]}: {self._problems[odd[0]]}' if odd else ''
+        return f'{first} (and {len(odd) - 1} more cars)' if len(odd) > 1 else first
+
+    def parts_health(self) -> Iterator[tuple[str, bytes, str, dict[str, object]]]:
+        """Yield the health of each car that has a name."""
+        remembered = dict(self._driver.training.learning.sources)
+        for car in self._cars:
+            source = car.source
+            if not source.name:
+                continue
+            problem = self._problems.get(source.name, '')
+            values = {'transitions_per_second': source.rate(), 'lag': source.lag,
+                      'silent_seconds': source.silent_seconds, 'lost': source.lost,
+                      'holding': car.holding, **source.figures()}
+            of = remembered.get(source.name)
+            if of is not None:
+                values.update(episodes=of.episodes, decisions=of.decisions, **dict(of.left_out))
+                if of.last_return is not None:
+                    values['last_return'] = of.last_return
+            yield (source.name, DiagnosticStatus.WARN if problem else DiagnosticStatus.OK,
+                   problem or 'learned from', values)
 
     def close(self) -> None:
         """Finish the update under way, then save everything or say that it could not be."""

@@ -22,8 +22,12 @@ class RunSettings:
     device: str = setting(
         'auto', 'where to learn: CUDA or ROCm when there, or the CPU',
         choices=('auto', 'cpu', 'cuda'))
+    sources: str = setting(
+        '', 'cars to learn from, by namespace: names or patterns such as /car_*, separated by '
+        'commas, which may come and go; empty: the one in the namespace of the trainer')
     simulator: str = setting(
-        'carracing_sim_node', 'node whose ~/hold is called while learning lags behind')
+        'carracing_sim_node', 'node whose ~/hold is called while learning lags behind, with '
+        'sources one in the namespace of each car')
     queue_limit: int = setting(
         64, 'transitions waiting to be learned from at which the simulator is held back',
         low=1, high=100_000)

@@ -4,7 +4,7 @@
 One car as the trainer sees it: its messages, joined, waiting to be learned from.
 
 Whatever is known of a car and not of the run is here, so that a trainer of several cars has one of
-these for each.
+these for each. It knows no other car and no ROS.
 """
 from __future__ import annotations
 
@@ -15,13 +15,15 @@ import numpy as np
 
 from msgs_bridge.step import Step
 from msgs_bridge.topics import STEP
-from msgs_bridge.transitions import Transition, TransitionJoiner
+from msgs_bridge.transitions import MAX_IMAGE_BYTES, Transition, TransitionJoiner
 from msgs_bridge.twists import Command
 
 # times the queue limit at which transitions are dropped because nobody can be held back
 OVERRUN = 50
 # the same, for frames that are large
 MAX_WAITING_BYTES = 128 * 2**20
+# of these bytes each of several sources has a part, as if there were so many
+SHARE = 8
 # without a transition for so long something is missing; seconds
 SILENCE_SECONDS = 1.0
 # from this share of lost transitions on something is wrong
@@ -41,18 +43,29 @@ class Source:
     The joiner of one car and the queue behind it.
 
     Attributes:
+        name: namespace of the car; empty for the one car of the trainer's own.
         joiner: joins its messages.
         overrun: transitions that were dropped because the queue was full.
+        refused: why nothing is learned from it at the moment, or ''.
+        dropped: transitions that were dropped while it was refused.
+        lag: seconds that the transition waited that was taken last.
     """
 
-    def __init__(self, queue_limit: int) -> None:
-        """Ask to be held back when more than `queue_limit` transitions wait."""
-        self.joiner = TransitionJoiner()
-        self.overrun = 0
+    def __init__(self, queue_limit: int, name: str = '') -> None:
+        """Let some times `queue_limit` transitions wait, and drop what comes beyond."""
+        self.name = name
+        share = SHARE if name else 1
+        self._image_bytes = MAX_IMAGE_BYTES // share
+        self._max_waiting_bytes = MAX_WAITING_BYTES // share
+        self.joiner = TransitionJoiner(image_bytes=self._image_bytes)
+        self.overrun = self.dropped = self.taken = 0
+        self.refused = ''
+        self.lag = 0.0
         self._queue_limit = queue_limit
-        self._waiting: deque[Transition] = deque()
+        self._waiting: deque[tuple[Transition, float]] = deque()
         self._waiting_bytes = 0
-        self._joined_at = self._looked_at = time.monotonic()
+        self._joined_at = self._looked_at = self._rate_from = time.monotonic()
+        self._rate_taken = 0
         self._seen: Counter[str] = Counter()
 
     def __len__(self) -> int:
@@ -72,15 +85,16 @@ class Source:
         return self._put(self.joiner.add_twist(stamp, command))
 
     def _put(self, transitions: list[Transition]) -> bool:
+        if not transitions:
+            return True
+        self._joined_at = time.monotonic()
         for number, transition in enumerate(transitions):
             if (len(self._waiting) >= OVERRUN * self._queue_limit
-                    or self._waiting_bytes > MAX_WAITING_BYTES):
+                    or self._waiting_bytes > self._max_waiting_bytes):
                 self.overrun += len(transitions) - number
                 return False
-            self._waiting.append(transition)
+            self._waiting.append((transition, self._joined_at))
             self._waiting_bytes += transition.next_frame.nbytes
-        if transitions:
-            self._joined_at = time.monotonic()
         return True
 
     def looked(self) -> None:
@@ -91,22 +105,37 @@ class Source:
         """Return the next transition, None if none waits."""
         if not self._waiting:
             return None
-        transition = self._waiting.popleft()
+        transition, since = self._waiting.popleft()
         self._waiting_bytes -= transition.next_frame.nbytes
+        self.lag = max(self._looked_at - since, 0.0)
+        self.taken += 1
         return transition
 
-    def should_hold(self, holding: bool) -> bool:
-        """Return whether the simulator is to be held back; `holding` says whether it is now."""
-        if holding:
-            return len(self._waiting) > self._queue_limit // 4
-        return len(self._waiting) > self._queue_limit
+    def refuse(self, why: str) -> None:
+        """Drop what waits, and what is joined until `accept`: some of it may be mixed up."""
+        self.refused = why
+        self.dropped += len(self._waiting)
+        self._waiting.clear()
+        self._waiting_bytes = 0
+        counts = self.joiner.counts
+        self.joiner = TransitionJoiner(image_bytes=self._image_bytes)
+        self.joiner.counts = counts
+
+    def accept(self) -> None:
+        """Learn from what comes from now on."""
+        self.refused = ''
 
     @property
     def silent_topic(self) -> str:
         """Return the topic that is to blame when nothing has been joined for a while, or ''."""
-        if self._waiting or self._looked_at - self._joined_at < SILENCE_SECONDS:
+        if self._waiting or self.silent_seconds < SILENCE_SECONDS:
             return ''
         return self.joiner.missing or STEP.name
+
+    @property
+    def silent_seconds(self) -> float:
+        """Return for how long nothing has been joined."""
+        return max(self._looked_at - self._joined_at, 0.0)
 
     def losses(self) -> str:
         """Return what is wrong with the transitions since the last call, '' if they are well."""
@@ -119,6 +148,19 @@ class Source:
             return ''
         (name, _), = lost.most_common(1)
         return f'{total} of {total + new["joined"]} transitions are lost: {LOSSES[name]}'
+
+    def rate(self) -> float:
+        """Return the transitions a second that were taken since the last call."""
+        now = time.monotonic()
+        count, seconds = self.taken - self._rate_taken, max(now - self._rate_from, 1e-9)
+        self._rate_taken, self._rate_from = self.taken, now
+        return count / seconds
+
+    @property
+    def lost(self) -> int:
+        """Return how many transitions were not learned from, for whatever reason."""
+        counts = dict(self.joiner.counts)
+        return self.overrun + self.dropped + sum(counts.get(name, 0) for name in LOSSES)
 
     def figures(self) -> dict[str, float]:
         """Return its figures, for the diagnostics."""

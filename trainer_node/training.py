@@ -33,6 +33,9 @@ from trainer_node.run_clock import RunClock
 from trainer_node.run_folder import now, RunFolder
 from trainer_node.run_record import RunRecord
 
+# sources whose episodes are told in the weights
+MOST_TOLD = 256
+
 
 class Training:
     """
@@ -45,6 +48,7 @@ class Training:
         folder: paths of the run folder.
         learning: replay, learner, limiter and schedules.
         selection: versions of the weights and the best of them.
+        several: whether its sources have names; weights say then what a car needs to join.
     """
 
     def __init__(
@@ -62,6 +66,7 @@ class Training:
         self._checkpoint = Checkpoint(folder.checkpoint)
         # so that a policy tells the weights of this start from those of another
         self._session = uuid.uuid4().hex
+        self.several = False
         self._saved_seconds = 0.0
         self._finished = False
         self._failure: LearningError | None = None
@@ -262,7 +267,13 @@ class Training:
             tensors, self.description, version=self.version, epsilon=epsilon,
             gas_weight=self.settings.gas_weight,
             exploration_hold=self.settings.exploration_hold, validate=validate,
-            session=self._session)
+            session=self._session, extra=self._for_cars() if self.several else None)
+
+    def _for_cars(self) -> dict[str, Any]:
+        """Return what a car needs to know that joins: how to drive, and what it has behind it."""
+        sources = list(self.learning.sources.items())[-MOST_TOLD:]
+        return {'seed': self.settings.seed, 'simulator': self.settings.simulator_parameters(),
+                'episodes': {name: of.episodes for name, of in sources}}
 
     def record_validation(self, values: Mapping[str, float]) -> bool:
         """
