@@ -188,8 +188,9 @@ class DqnPolicyNode(NodeShell):
             self._pilot.policy.swap_weights(update)
         except BridgeError as error:
             raise MessageError(str(error)) from None
-        if not self.settings.explore:
-            self._pilot.policy.epsilon = self.settings.epsilon
+        self._pilot.policy.epsilon = (
+            update.epsilon ** self.settings.epsilon_exponent if self.settings.explore
+            else self.settings.epsilon)
         self.counts['weight_swaps'] += 1
 
     def settings_changed(self) -> None:

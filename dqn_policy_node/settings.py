@@ -20,6 +20,9 @@ class DrivingSettings:
     hot_swap: bool = setting(True, 'take new weights from the weights topic')
     explore: bool = setting(
         False, 'true: follow the epsilon that comes with the weights (training)')
+    epsilon_exponent: float = setting(
+        1.0, 'with explore: what that epsilon is raised to; of several cars, each has its own '
+        '(arXiv 1803.00933)', low=0.01, high=1000.0)
     epsilon: float = setting(
         0.0, 'share of uniform random actions (epsilon-greedy), unless explore is on',
         low=0.0, high=1.0, live=True)

@@ -100,6 +100,14 @@ def is_marked(data: bytes) -> bool:
     return _read_record(data)[0].get('validate') is True
 
 
+def read_extra(data: bytes) -> dict[str, Any]:
+    """Return the further values of a weights image, weights unread; raises ModelError."""
+    extra = _read_record(data)[0].get('extra')
+    if not isinstance(extra, dict):
+        raise ModelError('weights image with values of the wrong type')
+    return extra
+
+
 def decode_weights(data: bytes, description: ModelDescription | None = None) -> WeightsUpdate:
     """
     Check and read a weights image.

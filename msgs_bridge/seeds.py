@@ -41,6 +41,21 @@ def training_seed(run_seed: int, car: int = 0) -> int:
     return TRAINING + car * EPISODES_OF_A_CAR + run_seed * _RUNS_APART % EPISODES_OF_A_CAR
 
 
+def epsilon_exponent(car: int, cars: int, spread: float) -> float:
+    """
+    Return what a car raises epsilon to, so that some explore more and others less.
+
+    As in Ape-X (arXiv 1803.00933, section 4): epsilon ** (1 + spread * car / (cars - 1)), with a
+    spread of 7 there. A car that joins beyond those counted on is like the last of them.
+
+    Args:
+        car: its number, from 0.
+        cars: how many there are.
+        spread: how much the exponent of the last car is above that of the first.
+    """
+    return 1.0 + spread * min(car / max(cars - 1, 1), 1.0)
+
+
 def is_validation(first: int, count: int) -> bool:
     """Return whether `count` seeds from `first` on all lie in the space of validations."""
     return first >= VALIDATION and first + count <= TRAINING

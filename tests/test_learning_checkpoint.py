@@ -322,7 +322,7 @@ def test_a_run_that_was_killed_before_its_first_checkpoint_begins_again(tmp_path
     begun.folder.checkpoint.unlink()
     assert len(begun.folder.episodes.read_text().splitlines()) > 1
     settings = run_settings(tmp_path / 'run', 'racing', {}, resume=True)
-    assert resume_point(tmp_path / 'run', settings) == (0, 0)
+    assert resume_point(tmp_path / 'run', settings) == (0, 0, {})
     again = open_training(tmp_path / 'run', settings, resume=True, device='cpu')
     assert (again.decisions, again.settings) == (0, begun.settings)
     assert len(again.folder.episodes.read_text().splitlines()) == 1
@@ -349,7 +349,7 @@ def test_a_place_that_cannot_be_written_is_one_line():
 
 
 def test_resume_point_says_what_a_resume_would(run):
-    assert resume_point(run.path, tiny()) == (4, 60)
+    assert resume_point(run.path, tiny()) == (4, 60, {})
     with pytest.raises(RunError, match='hidden is 16, not 8'):
         resume_point(run.path, tiny(hidden=16))
     record = json.loads(run.record.read_text())

@@ -150,6 +150,9 @@ class Hyperparameters:
         0.995, 'factor on epsilon after every episode (2.2.1)', low=0.0, high=1.0)
     epsilon_decisions: int = setting(
         100_000, 'decisions over which a linear epsilon falls', low=1, high=1_000_000_000)
+    epsilon_spread: float = setting(
+        7.0, 'of several cars, how much the exponent of epsilon of the last is above the 1 of the '
+        'first (arXiv 1803.00933)', low=0.0, high=100.0)
     gas_weight: float = setting(
         1.0, 'how much likelier a random action has gas; 1 = uniform (2.2.1)',
         low=0.001, high=1000.0)
@@ -258,12 +261,18 @@ class Hyperparameters:
         if self.frame_stack + self.n_steps >= self.replay_capacity:
             raise SettingsError('frame_stack and n_steps do not fit into replay_capacity')
 
-    def simulator_parameters(self) -> dict[str, Any]:
-        """Return the parameters of the simulator that training episodes are driven in."""
+    def simulator_parameters(self, car: int | None = None) -> dict[str, Any]:
+        """
+        Return the parameters of the simulator that training episodes are driven in.
+
+        Args:
+            car: number of the car if there are several: each has seeds of its own then.
+        """
+        of_episode = self.seed_each_episode or car is not None
         return {
             'action_repeat': self.action_repeat,
-            'seed': training_seed(self.seed) if self.seed_each_episode else self.seed,
-            'seed_each_episode': self.seed_each_episode,
+            'seed': training_seed(self.seed, car or 0) if of_episode else self.seed,
+            'seed_each_episode': of_episode,
             'simulator': self.simulator,
             # of CarRacing; other simulators do not know them
             **{name: value for name in ('early_end_frames', 'early_end_lap')

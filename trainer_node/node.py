@@ -82,7 +82,7 @@ class TrainerNode(NodeShell):
         self._stopping = threading.Event()
         self._weights_publisher = self.publisher(topics.WEIGHTS)
         if self._names:
-            training.several = True
+            training.several, training.cars = True, settings.cars
             for name in self._names.given:
                 self._add_car(name)
             self.create_timer(LOOK_SECONDS, self._look_for_cars)

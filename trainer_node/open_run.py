@@ -3,10 +3,11 @@
 """Begin a run from a preset, or go on with one, as the command line and the node ask for it."""
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 import dataclasses
 from pathlib import Path
-from typing import Any, TYPE_CHECKING
+from types import MappingProxyType
+from typing import Any, NamedTuple, TYPE_CHECKING
 
 from msgs_bridge.errors import SettingsError
 from msgs_bridge.machine import computes_bfloat16
@@ -59,9 +60,17 @@ def run_settings(
     return load_preset(run.config, overrides)
 
 
-def resume_point(folder: Path | str, settings: Hyperparameters) -> tuple[int, int]:
+class ResumePoint(NamedTuple):
+    """What a run has behind it: episodes, decisions, and episodes by name of its sources."""
+
+    episodes: int = 0
+    decisions: int = 0
+    of_sources: Mapping[str, int] = MappingProxyType({})
+
+
+def resume_point(folder: Path | str, settings: Hyperparameters) -> ResumePoint:
     """
-    Return episodes and decisions that a run has behind it; 0 when it has no checkpoint yet.
+    Return what a run has behind it; nothing when it has no checkpoint yet.
 
     Raises:
         RunError: it cannot go on with these settings, or its folder cannot be written.
@@ -69,15 +78,19 @@ def resume_point(folder: Path | str, settings: Hyperparameters) -> tuple[int, in
     run = RunFolder(folder)
     run.check_writable()
     if run.unfinished_start:
-        return 0, 0
+        return ResumePoint()
     saved = Checkpoint(run.checkpoint).read()
     refuse_differences(settings, saved.settings, run.path)
     learning = saved.state.get('learning')
-    counts = [learning.get(name) if isinstance(learning, dict) else None
-              for name in ('episodes', 'decisions')]
-    if not all(type(count) is int and count >= 0 for count in counts):
+    try:
+        found = ResumePoint(learning['episodes'], learning['decisions'], {
+            name: of['episodes'] for name, of in learning.get('sources', {}).items()})
+    except (TypeError, KeyError, AttributeError):
+        found = ResumePoint(-1)
+    if not all(type(count) is int and count >= 0 for count in (
+            found.episodes, found.decisions, *found.of_sources.values())):
         raise RunError(f'{run.checkpoint}: damaged checkpoint: it counts no episodes')
-    return counts[0], counts[1]
+    return found
 
 
 def open_training(

@@ -25,6 +25,9 @@ class RunSettings:
     sources: str = setting(
         '', 'cars to learn from, by namespace: names or patterns such as /car_*, separated by '
         'commas, which may come and go; empty: the one in the namespace of the trainer')
+    cars: int = setting(
+        0, 'with sources, cars that are counted on, over which epsilon is spread; more may come',
+        low=0, high=1024)
     simulator: str = setting(
         'carracing_sim_node', 'node whose ~/hold is called while learning lags behind, with '
         'sources one in the namespace of each car')

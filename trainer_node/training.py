@@ -49,6 +49,7 @@ class Training:
         learning: replay, learner, limiter and schedules.
         selection: versions of the weights and the best of them.
         several: whether its sources have names; weights say then what a car needs to join.
+        cars: how many of them are counted on.
     """
 
     def __init__(
@@ -66,7 +67,7 @@ class Training:
         self._checkpoint = Checkpoint(folder.checkpoint)
         # so that a policy tells the weights of this start from those of another
         self._session = uuid.uuid4().hex
-        self.several = False
+        self.several, self.cars = False, 0
         self._saved_seconds = 0.0
         self._finished = False
         self._failure: LearningError | None = None
@@ -273,6 +274,7 @@ class Training:
         """Return what a car needs to know that joins: how to drive, and what it has behind it."""
         sources = list(self.learning.sources.items())[-MOST_TOLD:]
         return {'seed': self.settings.seed, 'simulator': self.settings.simulator_parameters(),
+                'cars': max(self.cars, len(sources)), 'spread': self.settings.epsilon_spread,
                 'episodes': {name: of.episodes for name, of in sources}}
 
     def record_validation(self, values: Mapping[str, float]) -> bool:

@@ -19,6 +19,8 @@ SUBCOMMANDS = {
             'drive laps with the shipped model and record a bag'),
     'train': ('carracing_dqn.bringup.train_command',
               'the whole learning graph, validation included'),
+    'drive': ('carracing_dqn.bringup.drive_command',
+              'one more car for a trainer that runs elsewhere'),
     'study': ('carracing_dqn.studies.command',
               'training runs by a YAML file, and the page that compares them'),
     'evaluate': ('carracing_dqn.bringup.evaluate_command',

@@ -12,6 +12,8 @@ from collections.abc import Mapping
 import dataclasses
 from typing import Any
 
+from msgs_bridge import topics
+from msgs_bridge.seeds import epsilon_exponent
 from msgs_bridge.settings import describe
 from trainer_node.settings import TrainerSettings
 
@@ -62,6 +64,12 @@ REFEREE = NodeKind(
     'referee_node', 'referee', 'carracing_dqn.simulation.referee_node',
     'carracing_dqn.simulation.referee_settings:RefereeSettings')
 
+CAR = 'car_'
+"""Begins the namespaces of cars, which go on with their number."""
+
+# a prime, so that cars do not meet the seeds of neighbouring runs soon
+SEEDS_APART = 1_000_003
+
 KINDS = (SIMULATOR, POLICY, TRAINER, VALIDATOR, RECORDER, PLAYER, REFEREE)
 """Every node of the package."""
 
@@ -74,10 +82,28 @@ class NodeSpec:
     Attributes:
         kind: which program.
         parameters: values by name, str, int, float or bool; the others keep their defaults.
+        space: namespace below that of the graph; a node there may die, and the graph goes on.
+        shared: topics that are those of the graph's namespace nevertheless.
     """
 
     kind: NodeKind
     parameters: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    space: str = ''
+    shared: tuple[str, ...] = ()
+
+    @property
+    def role(self) -> str:
+        """Return what it is in its graph, in a word that no other node there has."""
+        return f'{self.kind.role}_{self.space}' if self.space else self.kind.role
+
+    def namespace(self, graph: str) -> str:
+        """Return its namespace, '' for the root, in a graph with a namespace or ''."""
+        return '/'.join(filter(None, (graph.strip('/'), self.space)))
+
+    def remaps(self, graph: str) -> dict[str, str]:
+        """Return what its topics are called instead, in a graph with a namespace or ''."""
+        return {topic: '/'.join(['', *filter(None, (graph.strip('/'), topic))])
+                for topic in self.shared}
 
 
 Graph = tuple[NodeSpec, ...]
@@ -128,16 +154,98 @@ def training_graph(
     """
     return _connected(
         *_recorder(bag),
-        NodeSpec(TRAINER, {**{name: value for name, value in (vehicle or {}).items()
-                              if name in describe(TrainerSettings)}, **trainer}),
-        # without a model it waits for the first weights; other random actions after a resume
+        NodeSpec(TRAINER, {**_of_trainer(vehicle), **trainer}),
+        # without a model it waits for the first weights
         NodeSpec(POLICY, {**(vehicle or {}), 'model': '', 'explore': True,
-                          'seed': (hyperparameters.seed + first_decision) % 2**31}),
-        NodeSpec(VALIDATOR, {'simulator': hyperparameters.simulator,
-                             'seed': hyperparameters.validation_seed,
-                             'tracks': hyperparameters.validation_tracks}),
+                          'seed': driver_seed(hyperparameters.seed, first_decision)}),
+        _validator(hyperparameters),
         NodeSpec(SIMULATOR, {
             **hyperparameters.simulator_parameters(), 'first_episode': first_episode}))
+
+
+def car_space(car: int) -> str:
+    """Return the namespace of a car below that of its trainer."""
+    return f'{CAR}{car}'
+
+
+def learner_graph(
+    hyperparameters: Any, *, trainer: Mapping[str, Any], cars: int = 0,
+    vehicle: Mapping[str, Any] | None = None,
+) -> Graph:
+    """
+    Return trainer and validator for cars that are elsewhere.
+
+    Args:
+        hyperparameters: as for `training_graph`.
+        trainer: parameters of the trainer.
+        cars: how many are counted on; others may come.
+        vehicle: as for `training_graph`.
+    """
+    return (
+        NodeSpec(TRAINER, {
+            **_of_trainer(vehicle), 'sources': f'{CAR}*', 'cars': cars, **trainer}),
+        _validator(hyperparameters))
+
+
+def car_graph(
+    car: int, *, simulator: Mapping[str, Any], seed: int, exponent: float,
+    vehicle: Mapping[str, Any] | None = None, listeners: int = 1,
+) -> Graph:
+    """
+    Return simulator and policy of one of several cars, in a namespace of their own.
+
+    Args:
+        car: its number.
+        simulator: parameters of the simulator.
+        seed: of its random actions.
+        exponent: what epsilon is raised to.
+        vehicle: as for `training_graph`.
+        listeners: nodes elsewhere that must miss nothing, the trainer among them.
+    """
+    return _connected(
+        NodeSpec(POLICY, {**(vehicle or {}), 'model': '', 'explore': True,
+                          'seed': seed % 2**31, 'epsilon_exponent': exponent},
+                 car_space(car), (topics.WEIGHTS.name,)),
+        # each has a time of its own
+        NodeSpec(SIMULATOR, {**simulator, 'publish_clock': False}, car_space(car)),
+        listeners=listeners)
+
+
+def cars_graph(
+    hyperparameters: Any, cars: int, *, trainer: Mapping[str, Any],
+    episodes: Mapping[str, int] | None = None, first_decision: int = 0,
+    vehicle: Mapping[str, Any] | None = None, bag: str | None = None, namespace: str = '',
+) -> Graph:
+    """
+    Return a trainer, a validator and several cars, and a recorder if there is to be a bag.
+
+    Args:
+        hyperparameters: as for `training_graph`.
+        cars: how many.
+        trainer: parameters of the trainer.
+        episodes: how many each source has behind it, by its name, when the run goes on.
+        first_decision: as for `training_graph`.
+        vehicle: as for `training_graph`.
+        bag: new folder for a bag of every topic.
+        namespace: of the graph, which is part of the names of the sources.
+    """
+    recorder = _recorder(bag)
+    graph = [*recorder, *learner_graph(
+        hyperparameters, trainer=trainer, cars=cars, vehicle=vehicle)]
+    for car in range(cars):
+        name = '/'.join(['', *filter(None, (namespace.strip('/'), car_space(car)))])
+        graph += car_graph(
+            car, vehicle=vehicle, listeners=1 + len(recorder),
+            simulator={**hyperparameters.simulator_parameters(car),
+                       'first_episode': (episodes or {}).get(name, 0)},
+            seed=driver_seed(hyperparameters.seed, first_decision, car),
+            exponent=epsilon_exponent(car, cars, hyperparameters.epsilon_spread))
+    return tuple(graph)
+
+
+def driver_seed(seed: int, first_decision: int, car: int = 0) -> int:
+    """Return the seed of random actions: others for each car, and after a run was resumed."""
+    return (seed + first_decision + car * SEEDS_APART) % 2**31
 
 
 def replay_graph(*, bag: str, rate: float = 1.0) -> Graph:
@@ -145,13 +253,25 @@ def replay_graph(*, bag: str, rate: float = 1.0) -> Graph:
     return (NodeSpec(PLAYER, {'bag': bag, 'rate': rate}),)
 
 
+def _of_trainer(vehicle: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Return what of the parameters of a vehicle the trainer has, too."""
+    return {name: value for name, value in (vehicle or {}).items()
+            if name in describe(TrainerSettings)}
+
+
+def _validator(hyperparameters: Any) -> NodeSpec:
+    return NodeSpec(VALIDATOR, {'simulator': hyperparameters.simulator,
+                                'seed': hyperparameters.validation_seed,
+                                'tracks': hyperparameters.validation_tracks})
+
+
 def _recorder(bag: str | None) -> Graph:
     return () if bag is None else (NodeSpec(RECORDER, {'folder': bag}),)
 
 
-def _connected(*nodes: NodeSpec) -> Graph:
+def _connected(*nodes: NodeSpec, listeners: int = 0) -> Graph:
     """Let simulator and policy wait for everybody who must miss nothing of what they send."""
-    listeners = sum(node.kind.hears_all for node in nodes)
+    listeners += sum(node.kind.hears_all for node in nodes)
     # the simulator hears the policy's twists, too; it counts the policy itself
     waits = {SIMULATOR: listeners, POLICY: listeners + 1}
     return tuple(

@@ -27,7 +27,8 @@ def launch_actions(graph: Graph, namespace: str) -> list[Any]:
     from launch_ros.parameter_descriptions import ParameterValue
     nodes = [
         Node(
-            package='carracing_dqn', executable=node.kind.name, namespace=namespace,
+            package='carracing_dqn', executable=node.kind.name,
+            namespace=node.namespace(namespace), remappings=list(node.remaps(namespace).items()),
             output='screen', prefix=f'nice -n {node.kind.nice}' if node.kind.nice else None,
             # with a type, because launch reads a text like 2026 as YAML otherwise
             parameters=[{name: ParameterValue(value, value_type=type(value))

@@ -129,9 +129,9 @@ class Monitor:
         self._thread = threading.Thread(target=self._listen, name='monitor', daemon=True)
         self._thread.start()
 
-    def simulators(self) -> int:
-        """Return how many simulators publish images in this namespace."""
-        return self._node.count_publishers(topics.IMAGE.name)
+    def simulators(self, space: str = '') -> int:
+        """Return how many simulators publish images in this namespace, or in one below it."""
+        return self._node.count_publishers('/'.join(filter(None, (space, topics.IMAGE.name))))
 
     def close(self) -> None:
         """Leave the graph."""

@@ -13,9 +13,10 @@ import subprocess
 import sys
 import threading
 import time
+from types import MappingProxyType
 from typing import Any
 
-from carracing_dqn.bringup.graph import Graph, RECORDER
+from carracing_dqn.bringup.graph import Graph, RECORDER, SIMULATOR
 from msgs_bridge.errors import BridgeError
 from msgs_bridge.node_process import STOPPED
 from msgs_bridge.plain_text import plain
@@ -45,6 +46,7 @@ class ChildDied(BridgeError):
 def node_command(
     module: str, parameters: Mapping[str, Any], namespace: str = '', *, nice: int = 0,
     folder: Path | str = '.', supervised: bool = False,
+    remaps: Mapping[str, str] = MappingProxyType({}),
 ) -> list[str]:
     """
     Return the command line of one of our nodes, which ends when this process does.
@@ -56,6 +58,7 @@ def node_command(
         nice: how much of its share of the processor it leaves to others.
         folder: its current folder.
         supervised: whether it ends with `STOPPED`, not with 0, when a signal stops it.
+        remaps: what its topics are called instead.
     """
     command = [
         sys.executable, '-m', 'carracing_dqn.bringup.child', '--parent', str(os.getpid()),
@@ -63,6 +66,8 @@ def node_command(
         '-m', module, '--ros-args']
     if namespace:
         command += ['-r', f'__ns:=/{namespace.strip("/")}']
+    for name, value in remaps.items():
+        command += ['-r', f'{name}:={value}']
     for name, value in parameters.items():
         if isinstance(value, bool):
             text = str(value).lower()
@@ -85,14 +90,16 @@ class Child:
         words: the last lines that it said.
         spoke_at: when it said its first line, `time.monotonic()`; None before.
         keeps: whether it has something to save when it is stopped.
+        expendable: whether the others go on without it.
         asked: whether it was asked to stop.
     """
 
     def __init__(
         self, name: str, command: Sequence[str], log: Path, *, keeps: bool = False,
+        expendable: bool = False,
     ) -> None:
         """Start the process; raises OSError when the log or the process cannot be had."""
-        self.name, self.log, self.keeps = name, log, keeps
+        self.name, self.log, self.keeps, self.expendable = name, log, keeps, expendable
         self.words: deque[str] = deque(maxlen=LAST_WORDS)
         self.spoke_at: float | None = None
         self.asked = False
@@ -161,6 +168,7 @@ class ProcessGroup:
         """Write a log file per child into a folder that exists."""
         self.log_folder = log_folder
         self.children: dict[str, Child] = {}
+        self._told: set[str] = set()
 
     def __enter__(self) -> ProcessGroup:
         return self
@@ -170,6 +178,7 @@ class ProcessGroup:
 
     def start(
         self, name: str, command: Sequence[str], *, keeps: bool = False,
+        expendable: bool = False,
     ) -> Child:
         """
         Start a child under a name.
@@ -179,7 +188,7 @@ class ProcessGroup:
         """
         log = self.log_folder / f'{name}.log'
         try:
-            child = Child(name, command, log, keeps=keeps)
+            child = Child(name, command, log, keeps=keeps, expendable=expendable)
         except OSError as error:
             raise BridgeError(f'{name} cannot be started, log {log}: {error.strerror}') from None
         self.children[name] = child
@@ -199,20 +208,27 @@ class ProcessGroup:
         """
         for node in graph:
             kind = node.kind
-            self.start(kind.role, node_command(
-                kind.module, node.parameters, namespace, nice=kind.nice, folder=folder,
-                supervised=True), keeps=kind.keeps)
+            self.start(node.role, node_command(
+                kind.module, node.parameters, node.namespace(namespace), nice=kind.nice,
+                folder=folder, supervised=True, remaps=node.remaps(namespace)),
+                keeps=kind.keeps, expendable=bool(node.space))
 
     def check(self) -> str | None:
         """
         Return the name of a child that has finished its work (exit code 0), else None.
 
         Raises:
-            ChildDied: one ended otherwise.
+            ChildDied: one ended otherwise, or the last car did.
             BridgeError: the folder of the logs was removed, and what is beside it with it.
         """
         finished = None
+        cars = [child for child in self.children.values()
+                if child.expendable and child.name.startswith(SIMULATOR.role)]
+        if cars and all(child.code is not None for child in cars):
+            raise ChildDied(f'no car is left: {cars[-1].obituary()}')
         for name, child in self.children.items():
+            if child.expendable:
+                continue
             if child.failed:
                 raise ChildDied(child.obituary())
             if child.code == 0:
@@ -220,6 +236,13 @@ class ProcessGroup:
         if not self.log_folder.is_dir():
             raise BridgeError(f'{self.log_folder} was removed while it was written to')
         return finished
+
+    def losses(self) -> list[str]:
+        """Return a line for each expendable child that has ended since the last call."""
+        gone = [child for child in self.children.values()
+                if child.expendable and child.code is not None and child.name not in self._told]
+        self._told.update(child.name for child in gone)
+        return [f'{child.obituary()}; the others go on' for child in gone]
 
     def up_for(self) -> float:
         """Return how many seconds every child has been up, by its first line; 0 before."""
@@ -260,7 +283,7 @@ class ProcessGroup:
             if child.keeps and child.code == -signal.SIGKILL:
                 raise ChildDied(f'{child.name} had not saved everything after {SAVE_SECONDS:g} s '
                                 f'and was killed (log: {child.log})')
-            if child.failed:
+            if child.failed and not child.expendable:
                 raise ChildDied(child.obituary())
 
 

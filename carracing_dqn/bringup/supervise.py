@@ -3,7 +3,7 @@
 """A graph from its start to its end: what may go wrong meanwhile ends it with one line."""
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 import contextlib
 from pathlib import Path
 import resource
@@ -44,16 +44,20 @@ def check_machine() -> None:
                               f'{MIN_FILES} or more')
 
 
-def refuse_second_simulator(monitor: Monitor) -> None:
+def refuse_second_simulator(monitor: Monitor, spaces: Sequence[str] = ('',)) -> None:
     """
     Look for a simulator that runs already: two would both answer to the same twists.
+
+    Args:
+        monitor: looks.
+        spaces: the namespaces of the new ones below that of the graph; none: one in that itself.
 
     Raises:
         BridgeError: there is one.
     """
     deadline = time.monotonic() + FIRST_LOOK_SECONDS
     while time.monotonic() < deadline:
-        if monitor.simulators():
+        if any(map(monitor.simulators, spaces or ('',))):
             raise BridgeError(
                 'a simulator runs on this ROS domain already; stop it, or use --namespace or '
                 'another ROS_DOMAIN_ID')
@@ -101,6 +105,8 @@ def run_to_the_end(
             group.start_graph(graph, namespace, folder)
             with display:
                 while look(group, monitor) is None:
+                    for line in group.losses():
+                        display.say(line)
                     display.update()
                     time.sleep(LOOK_SECONDS)
                 deadline = time.monotonic() + 1.0

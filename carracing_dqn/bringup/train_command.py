@@ -13,7 +13,9 @@ import textwrap
 from typing import Any
 
 from carracing_dqn.bringup.display import Display
-from carracing_dqn.bringup.graph import Graph, training_graph
+from carracing_dqn.bringup.graph import (
+    car_space, cars_graph, Graph, learner_graph, training_graph,
+)
 from carracing_dqn.bringup.monitor import absolute_namespace, Monitor
 from carracing_dqn.bringup.provenance import with_provenance
 from carracing_dqn.bringup.recipe import (
@@ -26,11 +28,12 @@ from carracing_dqn.simulation import find_simulator
 from carracing_dqn.simulation.profiles import found_from, profile_of
 from carracing_dqn.studies.simulator_settings import PRESET as SIMULATOR_PRESET
 from msgs_bridge.errors import BridgeError, SettingsError
+from msgs_bridge.seeds import MAX_CARS
 from msgs_bridge.settings import describe
 from msgs_bridge.terminal import say
 from rich.console import Console
 from trainer_node.hyperparameters import Hyperparameters, load_preset, preset_names
-from trainer_node.open_run import read_overrides, resume_point, run_settings
+from trainer_node.open_run import read_overrides, resume_point, ResumePoint, run_settings
 from trainer_node.run_folder import RunFolder
 
 LIST_HINT = 'carracing train --list prints every name and what it accepts'
@@ -58,6 +61,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--list', action='store_true',
                         help='print the hyperparameters with their values in the preset, what '
                              'they accept and mean, and end')
+    parser.add_argument('--cars', type=int, default=0, metavar='N',
+                        help='learn from N cars at once, each in a namespace of its own; more '
+                             'may join')
+    parser.add_argument('--role', choices=('learner',), default=None,
+                        help='learner: trainer and validator alone, for cars that join by '
+                             'carracing drive --join, here or on other hosts')
     parser.add_argument('--bag', action='store_true', help='record every topic into RUN/bag')
     parser.add_argument('--from-bag', nargs='+', type=Path, default=None, metavar='BAG',
                         help='learn from the transitions in bags instead of driving')
@@ -93,18 +102,18 @@ def main(arguments: argparse.Namespace) -> int:
             arguments.from_bag, folder, preset, overrides, console,
             namespace=arguments.namespace, resume=resume, tensorboard=arguments.tensorboard)
     find_simulator(found_from(hyperparameters.simulator, folder))
-    done = resume_point(folder, hyperparameters) if resume else (0, 0)
+    done = resume_point(folder, hyperparameters) if resume else ResumePoint()
     check_machine()
     monitor = Monitor(arguments.namespace)
     try:
-        refuse_second_simulator(monitor)
+        refuse_second_simulator(monitor, tuple(map(car_space, range(arguments.cars))))
         new_folder(folder, begun=begun)
         display = Display(monitor.state, training_table, training_line, console)
         display.say(f'run folder {folder}')
         if not resume and load_preset(preset, overrides).bf16 != hyperparameters.bf16:
             display.say('this processor has no bfloat16: learning in float32, which is faster')
         interrupted = run_to_the_end(
-            _graph(arguments, hyperparameters, folder, *done), namespace=arguments.namespace,
+            _graph(arguments, hyperparameters, folder, done), namespace=arguments.namespace,
             folder=folder, monitor=monitor, display=display)
     except BridgeError as error:
         raise BridgeError(f'{error}{_what_next(folder, "; ")}') from None
@@ -131,6 +140,13 @@ def _check(arguments: argparse.Namespace) -> None:
         raise BridgeError('--resume goes on in its own folder with its own settings: --run, '
                           '--preset, --simulator, --initial-model are for a new run; --set '
                           'changes single values')
+    if not 0 <= arguments.cars <= MAX_CARS:
+        raise BridgeError(f'--cars is {arguments.cars}; accepted: 0 (one alone) to {MAX_CARS}')
+    if arguments.from_bag and (arguments.cars or arguments.role):
+        raise BridgeError('--cars and --role are of a graph, which --from-bag does without')
+    if arguments.bag and arguments.role:
+        raise BridgeError('--bag records cars, which --role learner does without; on their hosts: '
+                          'carracing bag record')
     if arguments.bag and arguments.from_bag:
         raise BridgeError('--bag records a graph, which --from-bag does without')
     if arguments.tensorboard and importlib.util.find_spec('tensorboard') is None:
@@ -162,18 +178,28 @@ def _what_next(folder: Path, before: str = '') -> str:
 
 def _graph(
     arguments: argparse.Namespace, hyperparameters: Hyperparameters, folder: Path,
-    episodes: int, decisions: int,
+    done: ResumePoint,
 ) -> Graph:
     preset = choose_preset(arguments.preset, arguments.simulator)
     if Path(preset).expanduser().is_file():
         # paths count from the run folder, which is where the nodes are
         preset = os.path.relpath(Path(preset).expanduser().resolve(), folder.resolve())
-    graph = training_graph(
-        hyperparameters, first_episode=episodes, first_decision=decisions,
-        vehicle=profile_of(found_from(hyperparameters.simulator, folder)).vehicle,
-        trainer={'run': '.', 'resume': arguments.resume is not None, 'preset': preset,
-                 'overrides': ','.join(arguments.pairs), 'tensorboard': arguments.tensorboard},
-        bag=next_bag(folder).name if arguments.bag else None)
+    vehicle = profile_of(found_from(hyperparameters.simulator, folder)).vehicle
+    trainer = {'run': '.', 'resume': arguments.resume is not None, 'preset': preset,
+               'overrides': ','.join(arguments.pairs), 'tensorboard': arguments.tensorboard}
+    bag = next_bag(folder).name if arguments.bag else None
+    if arguments.role:
+        graph = learner_graph(
+            hyperparameters, cars=arguments.cars, vehicle=vehicle, trainer=trainer)
+    elif arguments.cars:
+        graph = cars_graph(
+            hyperparameters, arguments.cars, episodes=done.of_sources,
+            first_decision=done.decisions, vehicle=vehicle, trainer=trainer, bag=bag,
+            namespace=arguments.namespace)
+    else:
+        graph = training_graph(
+            hyperparameters, first_episode=done.episodes, first_decision=done.decisions,
+            vehicle=vehicle, trainer=trainer, bag=bag)
     return with_provenance(graph, preset=Path(preset).stem)
 
 
