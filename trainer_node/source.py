@@ -112,18 +112,18 @@ class Source:
         return transition
 
     def refuse(self, why: str) -> None:
-        """Drop what waits, and what is joined until `accept`: some of it may be mixed up."""
+        """Drop what waits; to be called again and again as long as nothing is to be learned."""
         self.refused = why
         self.dropped += len(self._waiting)
         self._waiting.clear()
         self._waiting_bytes = 0
+
+    def accept(self) -> None:
+        """Learn from what comes from now on; what came may be mixed up."""
+        self.refused = ''
         counts = self.joiner.counts
         self.joiner = TransitionJoiner(image_bytes=self._image_bytes)
         self.joiner.counts = counts
-
-    def accept(self) -> None:
-        """Learn from what comes from now on."""
-        self.refused = ''
 
     @property
     def silent_topic(self) -> str:

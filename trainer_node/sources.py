@@ -44,7 +44,7 @@ class SourceNames:
             SettingsError: what is neither.
         """
         wanted = []
-        for one in filter(None, (part.strip().rstrip('/') for part in text.split(','))):
+        for one in (part.strip() for part in text.split(',') if text.strip()):
             if len(one) > _LONGEST or not _NAME.fullmatch(one):
                 raise SettingsError(
                     f'sources has {plain(one)!r}; accepted: namespaces such as /car_1, or '
