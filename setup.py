@@ -12,7 +12,8 @@ PACKAGES = [
     'msgs_bridge', 'msgs_bridge.transport', 'carracing_sim_node', 'dqn_policy_node',
     'trainer_node', 'bags', 'carracing_dqn',
     'carracing_dqn.bringup', 'carracing_dqn.evaluation', 'carracing_dqn.simulation',
-    'carracing_dqn.simulators', 'carracing_dqn.studies', 'carracing_dqn.benchmarks',
+    'carracing_dqn.simulators', 'carracing_dqn.studies', 'carracing_dqn.watch',
+    'carracing_dqn.benchmarks',
 ]
 EXECUTABLES = (
     'carracing', 'carracing_sim_node', 'dqn_policy_node', 'trainer_node', 'validation_node',
@@ -40,7 +41,10 @@ setup(
     maintainer='The carracing_dqn authors',
     maintainer_email='maintainers@carracing-dqn.org',
     packages=PACKAGES,
-    package_data={'carracing_dqn.evaluation': ['*.html', '*.j2', '*.css']},
+    package_data={
+        'carracing_dqn.evaluation': ['*.html', '*.j2', '*.css'],
+        'carracing_dqn.watch': ['*.html', '*.css', '*.js'],
+    },
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
@@ -62,6 +66,7 @@ setup(
         'rich',
         'rosbags',
         'safetensors',
+        'textual',
         'torch',
         'zstandard',
     ],
@@ -70,6 +75,8 @@ setup(
         'wheels': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
         'test': [
             'colcon-core', 'colcon-ros', 'hypothesis', 'mcap-ros2-support', 'pytest', 'ruff'],
+        # to look at the pages of `carracing watch` as a browser shows them
+        'browser': ['playwright'],
         'tensorboard': ['tensorboard'],
         # simulators that others wrote
         'highway': ['highway-env'],

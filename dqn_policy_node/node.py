@@ -208,6 +208,8 @@ class DqnPolicyNode(NodeShell):
             values.update(
                 weights_version=policy.version, epsilon=float(policy.epsilon),
                 sequences=self._pilot.sequences)
+            if policy.description is not None:
+                values['decision_seconds'] = float(policy.description.action_seconds)
         return level, problem or 'driving', values
 
     def _problem(self) -> str | None:

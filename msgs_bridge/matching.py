@@ -3,7 +3,8 @@
 """Whether publishers and subscriptions of one topic fit, as the graph knows them."""
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import NamedTuple
 
 from msgs_bridge.plain_text import plain
 from rclpy.duration import Duration
@@ -76,6 +77,41 @@ def deaf_subscriptions(
         subscription, type_name, 'takes', 'publishes', offered, subscription.qos_profile))]
 
 
+class Misfit(NamedTuple):
+    """Two ends of a topic between which nothing flows, and why: 'type' or 'QoS'."""
+
+    kind: str
+    publisher: TopicEndpointInfo
+    subscription: TopicEndpointInfo
+    reason: str
+
+
+def misfits(
+    publishers: Sequence[TopicEndpointInfo], subscriptions: Sequence[TopicEndpointInfo],
+) -> Iterator[Misfit]:
+    """Yield each pair of ends of a topic that do not match."""
+    for publisher in publishers:
+        for subscription in subscriptions:
+            if publisher.topic_type != subscription.topic_type:
+                yield Misfit('type', publisher, subscription,
+                             f'{plain(publisher.topic_type, 60)} is published, '
+                             f'{plain(subscription.topic_type, 60)} is subscribed to')
+            elif reason := _qos_problem(publisher.qos_profile, subscription.qos_profile):
+                yield Misfit('QoS', publisher, subscription, reason)
+
+
+def full_name(end: TopicEndpointInfo) -> str:
+    """Return the full name of the node of an end, as it may be shown."""
+    return plain(f'{end.node_namespace.rstrip("/")}/{end.node_name}', 100)
+
+
+def _qos_problem(offered: QoSProfile, asked: QoSProfile) -> str:
+    """Return why a publisher and a subscription do not match by their QoS, '' if they do."""
+    compatible, reason = qos_check_compatible(_comparable(offered), _comparable(asked))
+    return '' if compatible != QoSCompatibility.ERROR else reason.replace(
+        'ERROR: ', '').strip('; ')
+
+
 def _comparable(qos: QoSProfile) -> QoSProfile:
     """Return a profile in which endless durations are unset, for both ways of writing them."""
     return QoSProfile(
@@ -92,10 +128,8 @@ def _misfit(
     other: TopicEndpointInfo, type_name: str, theirs: str, ours: str,
     offered: QoSProfile, asked: QoSProfile,
 ) -> str | None:
-    name = plain(f'{other.node_namespace.rstrip("/")}/{other.node_name}', 60)
+    name = full_name(other)
     if other.topic_type != type_name:
         return f'{name} {theirs} {plain(other.topic_type, 60)}, this node {ours} {type_name}'
-    compatible, reason = qos_check_compatible(_comparable(offered), _comparable(asked))
-    if compatible != QoSCompatibility.ERROR:
-        return None
-    return f'QoS of {name} does not match: {reason.replace("ERROR: ", "").strip("; ")}'
+    reason = _qos_problem(offered, asked)
+    return f'QoS of {name} does not match: {reason}' if reason else None

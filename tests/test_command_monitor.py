@@ -8,6 +8,7 @@ from carracing_dqn.bringup.monitor import absolute_namespace, KEPT_RESULTS, Moni
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from msgs_bridge import topics
 from msgs_bridge.errors import BridgeError
+from msgs_bridge.health import SUMMARY_LENGTH
 from msgs_bridge.named_values import fill_named_values
 from msgs_bridge.step import EPISODE_CORE, VALIDATION_FIELDS
 import pytest
@@ -84,7 +85,7 @@ def test_each_namespace_has_its_own_health_and_texts_are_bounded(graph, monitor)
     assert state.value(name, 'decisions_per_second') == 7
     assert '[/x]' in state.summary(name) and '\x1b' not in state.summary(name)
     texts = [*state.health[own], *state.health[own].values()]
-    assert len(texts) < 300 and max(map(len, texts)) <= 100
+    assert len(texts) < 300 and max(map(len, texts)) <= SUMMARY_LENGTH
     assert all(text.isprintable() for text in texts)
 
 

@@ -25,6 +25,8 @@ SUBCOMMANDS = {
               'training runs by a YAML file, and the page that compares them'),
     'evaluate': ('carracing_dqn.bringup.evaluate_command',
                  'greedy laps on seeded tracks in the unmodified environment'),
+    'watch': ('carracing_dqn.bringup.watch_command',
+              'the live graph or a bag on one screen, in the terminal or in the browser'),
     'check': ('carracing_dqn.bringup.check_command',
               'what of a running simulator or robot does not fit, and what mends it'),
     'report': ('carracing_dqn.evaluation.report_command',

@@ -6,28 +6,22 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 import dataclasses
-import threading
 from typing import Any
 
 from carracing_dqn.bringup.graph import KINDS
 from msgs_bridge import topics
-from msgs_bridge.errors import BridgeError, MessageError
-from msgs_bridge.before_rclpy import before_rclpy
+from msgs_bridge.errors import MessageError
+from msgs_bridge.health import read_health
+from msgs_bridge.listening_node import absolute_namespace, ListeningNode
 from msgs_bridge.message_types import message_class
 from msgs_bridge.named_values import read_named_values
-from msgs_bridge.plain_text import plain
 from msgs_bridge.qos import qos_profile
 from msgs_bridge.step import EPISODE_CORE, VALIDATION_FIELDS
-import rclpy
-from rclpy.context import Context
-from rclpy.exceptions import InvalidNamespaceException
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-from rclpy.signals import SignalHandlerOptions
-from rclpy.validate_namespace import validate_namespace
+
+__all__ = ['absolute_namespace', 'GraphState', 'Monitor']
 
 # What is kept, whoever publishes it: everything here has a bound.
 KEPT_RESULTS = 100
-MAX_VALUES = 128
 
 NODES = frozenset(kind.name for kind in KINDS)
 SUMMARY = 'summary'
@@ -87,33 +81,24 @@ class GraphState:
 
     def take_diagnostics(self, message: Any) -> None:
         """Keep what our nodes of this namespace say; others share the topic."""
-        for status in message.status:
-            space, _, node = status.name.rpartition('/')
-            if space != self.namespace or node not in NODES:
-                continue
-            self.health[status.name] = {
-                SUMMARY: plain(status.message),
-                **{plain(pair.key): plain(pair.value)
-                   for pair in status.values[:MAX_VALUES]}}
+        for said in read_health(message):
+            space, _, node = said.node.rpartition('/')
+            if space == self.namespace and node in NODES:
+                self.health[said.node] = {SUMMARY: said.summary, **said.values}
 
 
-class Monitor:
-    """A small node in a thread of its own that only listens; no message ends it."""
+class Monitor(ListeningNode):
+    """Hears what the nodes of one namespace say of themselves."""
 
     def __init__(self, namespace: str = '') -> None:
         """
-        Join the graph; signals stay with the caller.
+        Join the graph and listen; signals stay with the caller.
 
         Raises:
             BridgeError: the namespace is none.
         """
-        before_rclpy()
         self.state = GraphState(absolute_namespace(namespace))
-        self._context = Context()
-        rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
-        self._node = rclpy.create_node(
-            'carracing_monitor', context=self._context, namespace=self.state.namespace or None,
-            start_parameter_services=False, enable_rosout=False, use_global_arguments=False)
+        super().__init__('carracing_monitor', self.state.namespace)
         for topic, take in (
             (topics.EPISODE, self.state.take_episode),
             (topics.VALIDATION, self.state.take_validation),
@@ -123,23 +108,11 @@ class Monitor:
             self._node.create_subscription(
                 message_class(topic.type_name), topic.name, self._checked(take),
                 qos_profile(topic, depth=topics.BURST_DEPTH))
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self._node)
-        self._closing = threading.Event()
-        self._thread = threading.Thread(target=self._listen, name='monitor', daemon=True)
-        self._thread.start()
+        self.start()
 
     def simulators(self, space: str = '') -> int:
         """Return how many simulators publish images in this namespace, or in one below it."""
         return self._node.count_publishers('/'.join(filter(None, (space, topics.IMAGE.name))))
-
-    def close(self) -> None:
-        """Leave the graph."""
-        self._closing.set()
-        self._executor.shutdown(timeout_sec=0.5)
-        self._node.destroy_node()
-        rclpy.try_shutdown(context=self._context)
-        self._thread.join(timeout=1.0)
 
     def _checked(self, take: Callable[[Any], None]) -> Callable[[Any], None]:
         def callback(message: Any) -> None:
@@ -149,33 +122,3 @@ class Monitor:
                 self.state.rejected += 1
 
         return callback
-
-    def _listen(self) -> None:
-        while not self._closing.is_set():
-            try:
-                self._executor.spin_once(timeout_sec=0.5)
-            except ExternalShutdownException:
-                return
-            except Exception:
-                # the middleware refuses some messages by exceptions of its own, of any kind; the
-                # display must outlive them all, and must not spin if one comes again and again
-                self.state.rejected += 1
-                self._closing.wait(0.05)
-
-
-def absolute_namespace(text: str) -> str:
-    """
-    Return a namespace as nodes have it in their full names, '' for the root.
-
-    Raises:
-        BridgeError: it is none that ROS accepts.
-    """
-    namespace = f'/{text.strip("/")}'
-    try:
-        validate_namespace(namespace)
-    except InvalidNamespaceException as error:
-        reason = str(error).splitlines()[0].rstrip(':').lower()
-        raise BridgeError(
-            f'--namespace is {plain(text)!r}: {reason}; accepted: names of letters, digits '
-            'and underscores, joined by /') from None
-    return namespace.rstrip('/')

@@ -47,7 +47,8 @@ class Profile:
         vehicle: parameters of policy and trainer: camera, units and limits of the commands.
         topics: remaps, relative name -> name.
         camera: what its images are like: `width`, `height`, `encoding`, `rate` in Hz by stamp,
-            `mean_rgb`; what `carracing check` compares with.
+            `mean_rgb`; `patch`, a part of them (left, top, width, height) whose mean colour is
+            `patch_rgb`; what `carracing check` and `watch` compare with.
         training: `preset` and hyperparameters of `carracing train`.
     """
 
@@ -65,6 +66,10 @@ def _is_number(value: object) -> bool:
     return type(value) in (int, float) and math.isfinite(value)
 
 
+def _are_numbers(value: object, length: int) -> bool:
+    return isinstance(value, list) and len(value) == length and all(map(_is_number, value))
+
+
 # https://design.ros2.org/articles/topic_and_service_names.html
 TOPIC_NAME = re.compile(r'/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*')
 CAMERA = {
@@ -72,8 +77,10 @@ CAMERA = {
     'height': lambda value: type(value) is int and value > 0,
     'encoding': lambda value: isinstance(value, str),
     'rate': lambda value: _is_number(value) and value > 0,
-    'mean_rgb': lambda value: (
-        isinstance(value, list) and len(value) == 3 and all(map(_is_number, value))),
+    'mean_rgb': lambda value: _are_numbers(value, 3),
+    'patch': lambda value: _are_numbers(value, 4) and all(
+        type(one) is int and one >= 0 for one in value),
+    'patch_rgb': lambda value: _are_numbers(value, 3),
 }
 KINDS = {'about': str, 'simulator': str, 'deterministic': bool}
 

@@ -129,7 +129,7 @@ def _of_profile(path: Path) -> type[Simulator]:
     profile = load_profile(path)
     if not profile.simulator:
         raise SimulatorError(f'{path} describes what runs by itself: it names no simulator')
-    if find_profile(profile.simulator):
+    if profile.simulator not in SIMULATORS and find_profile(profile.simulator):
         raise SimulatorError(f'{path}: simulator is {_shown(profile.simulator)}, a profile itself')
     return as_simulator(profile, path, find_simulator(profile.simulator))
 

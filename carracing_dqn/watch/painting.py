@@ -1,0 +1,162 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a snapshot looks like in a terminal, as texts of rich."""
+from __future__ import annotations
+
+from collections.abc import Sequence
+import math
+from typing import Any
+
+from PIL import Image
+import numpy as np
+from rich.color import Color
+from rich.style import Style
+from rich.table import Table
+from rich.text import Text
+
+BLOCK = '▀'
+BARS = '▁▂▃▄▅▆▇█'
+LEVELS = {'ok': 'green', 'warn': 'yellow', 'error': 'red'}
+BAD_STATES = ('gone', 'silent')
+# columns of a bar of a Q-value
+BAR_WIDTH = 12
+
+
+def picture(pixels: np.ndarray | None, columns: int, rows: int) -> Text:
+    """
+    Return a picture in half blocks: two pixels a character, one above the other.
+
+    Args:
+        pixels: uint8 (H, W, 3) rgb, or None.
+        columns: characters at most.
+        rows: lines at most.
+    """
+    if pixels is None or columns < 2 or rows < 1:
+        return Text('no picture yet', style='dim')
+    height, width, _ = pixels.shape
+    part = min(columns / width, 2 * rows / height)
+    size = max(1, round(width * part)), max(2, round(height * part) // 2 * 2)
+    small = np.asarray(Image.fromarray(np.ascontiguousarray(pixels)).resize(
+        size, Image.Resampling.BOX if part < 1 else Image.Resampling.NEAREST))
+    text = Text(no_wrap=True, end='')
+    for upper, lower in zip(small[::2], small[1::2]):
+        for above, below in zip(upper, lower):
+            text.append(BLOCK, Style(color=Color.from_rgb(*above), bgcolor=Color.from_rgb(*below)))
+        text.append('\n')
+    return text
+
+
+def causes(found: Sequence[dict[str, str]], most: int) -> Text:
+    """Return what is wrong, a line each, the worst first."""
+    if not found:
+        return Text('nothing is wrong that can be seen from here', style='green')
+    text = Text()
+    for number, cause in enumerate(found[:most]):
+        text.append('\n' if number else '')
+        text.append(cause['kind'], 'yellow' if cause['kind'] == 'warning' else 'bold red')
+        text.append(f' {cause["where"]}: {cause["text"]}')
+        if cause['mend']:
+            text.append(f'  [{cause["mend"]}]', 'cyan')
+    if len(found) > most:
+        text.append(f'\nand {len(found) - most} more', 'dim')
+    return text
+
+
+def drive(shown: dict[str, Any]) -> Text:
+    """Return the numbers of the moment and the Q-values."""
+    now = shown['drive']
+    text = Text()
+    for name, key, digits in (
+        ('reward', 'reward', 2), ('return', 'episode_return', 1), ('speed', 'speed', 1),
+        ('episode', 'episode', 0), ('decision', 'decision', 0), ('linear', 'linear', 2),
+        ('angular', 'angular', 2), ('weights', 'version', 0),
+    ):
+        text.append(f'{name:<9}', 'dim')
+        text.append(f'{number(now.get(key), digits):>8}')
+        text.append('\n' if name in ('return', 'episode', 'linear', 'weights') else '   ')
+    actions = now.get('actions', [])
+    values = [value for _, value in actions if value is not None]
+    for index, (name, value) in enumerate(actions):
+        taken = index == now['chosen']
+        # the bars show the differences, which are small beside the values
+        spread = (max(values) - min(values)) or 1.0
+        part = 0.0 if value is None else (value - min(values)) / spread
+        text.append(f'{"▶" if taken else " "}{name[:12]:<13}{number(value):>8} ',
+                    'bold' if taken else 'dim')
+        text.append('█' * max(1, round(part * BAR_WIDTH)), 'green' if taken else 'blue')
+        text.append('  random\n' if taken and now['explored'] else '\n')
+    return text
+
+
+def nodes(shown: dict[str, Any]) -> Table:
+    """Return the nodes with their health."""
+    table = _table('node', 'is', 'says', 's ago')
+    for node in shown['nodes']:
+        state = node['level'] if node['state'] == 'running' else node['state']
+        style = 'red' if state in BAD_STATES else LEVELS.get(state, 'dim')
+        table.add_row(Text(node['name']), Text(state, style), Text(node['summary']),
+                      Text(number(node['age'], 1), justify='right'))
+    return table
+
+
+def topics(shown: dict[str, Any]) -> Table:
+    """Return the topics with who publishes and who hears them."""
+    table = _table('topic', 'Hz', 's ago', 'from', 'to')
+    for topic in shown['topics']:
+        to = Text(_ends(topic['subscriptions']))
+        for misfit in topic['misfits']:
+            to.append(f'\n{misfit["publisher"]} -> {misfit["subscription"]}: {misfit["reason"]}',
+                      'red')
+        table.add_row(Text(topic['name']), Text(number(topic['rate'], 1), justify='right'),
+                      Text(number(topic['age'], 1), justify='right'),
+                      Text(_ends(topic['publishers'])), to)
+    return table
+
+
+def plots(shown: dict[str, Any], columns: int) -> Text:
+    """Return each plot as its name, its numbers and a line of bars."""
+    text = Text()
+    for name, points in shown['plots'].items():
+        values = [value for _, value in points if value is not None]
+        if not values:
+            continue
+        text.append(f'{name[:30]} ', 'bold')
+        text.append(f'{number(values[-1])}   {number(min(values))} to {number(max(values))}, '
+                    f'{points[0][0]:.0f} s\n', 'dim')
+        text.append(spark([(ago, value) for ago, value in points if value is not None],
+                          max(columns, 10)) + '\n', 'blue')
+    return text if text else Text('nothing to plot yet', style='dim')
+
+
+def spark(points: Sequence[tuple[float, float]], columns: int) -> str:
+    """Return (seconds ago, value) as a line of bars, oldest first."""
+    oldest = max(points[0][0], 1e-9)
+    low, high = min(value for _, value in points), max(value for _, value in points)
+    cells: list[float | None] = [None] * columns
+    for ago, value in points:
+        cells[min(columns - 1, int((1 - ago / oldest) * columns))] = value
+    known = low
+    line = []
+    for cell in cells:
+        known = known if cell is None else cell
+        part = 0.0 if high == low else (known - low) / (high - low)
+        line.append(BARS[min(len(BARS) - 1, int(part * len(BARS)))])
+    return ''.join(line)
+
+
+def number(value: float | None, digits: int = 2) -> str:
+    """Return a number, '-' for none."""
+    return '-' if value is None or not math.isfinite(value) else f'{value:.{digits}f}'
+
+
+def _ends(ends: Sequence[dict[str, Any]]) -> str:
+    return ', '.join(end['node'] + ('' if end['reliable'] else ' (best effort)')
+                     for end in ends) or '-'
+
+
+def _table(*columns: str) -> Table:
+    table = Table(box=None, expand=True, padding=(0, 1, 0, 0))
+    for name in columns:
+        table.add_column(name, overflow='fold', no_wrap=name in ('is', 'Hz', 's ago'),
+                         justify='right' if name in ('Hz', 's ago') else 'left')
+    return table

@@ -1,0 +1,50 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""Named numbers of the last minutes, for plots."""
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+import math
+
+# what a plot reaches back to, and how near two points of it may be; seconds
+KEPT_SECONDS = 300.0
+LEAST_GAP = 0.25
+MAX_NAMES = 400
+MAX_POINTS = int(KEPT_SECONDS / LEAST_GAP)
+
+
+class SeriesTable:
+    """Series of numbers by name; bounded in names, points and time."""
+
+    def __init__(self) -> None:
+        """Begin empty."""
+        self._series: dict[str, deque[tuple[float, float]]] = {}
+
+    def __len__(self) -> int:
+        return len(self._series)
+
+    @property
+    def names(self) -> list[str]:
+        """Return the names in the order in which they came."""
+        return list(self._series)
+
+    def add(self, at: float, values: Mapping[str, float], prefix: str = '') -> None:
+        """Keep values of a moment in s; those too soon after the last ones are left out."""
+        for name, value in values.items():
+            name = f'{prefix}{name}'
+            points = self._series.get(name)
+            if points is None:
+                if len(self._series) >= MAX_NAMES:
+                    continue
+                points = self._series[name] = deque(maxlen=MAX_POINTS)
+            if points and at < points[-1][0]:
+                # a bag was wound back
+                points.clear()
+            if math.isfinite(value) and not (points and at - points[-1][0] < LEAST_GAP):
+                points.append((at, value))
+
+    def points(self, name: str, now: float) -> list[tuple[float, float]]:
+        """Return (seconds ago, value) of the last minutes, oldest first."""
+        return [(now - at, value) for at, value in self._series.get(name, ())
+                if now - at <= KEPT_SECONDS]

@@ -1,0 +1,305 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""The state that is watched, of a live graph or of a bag; whoever shows it takes `snapshot`."""
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+import math
+import threading
+from typing import Any
+
+import numpy as np
+
+from bags.decode import decode
+from carracing_dqn.watch.car import Car, IMAGE_TYPES, message_of, ROLES, TWIST_TYPES
+from carracing_dqn.watch.causes import causes
+from carracing_dqn.watch.graph_parts import Node, Topic, TopicEnds
+from msgs_bridge.errors import BridgeError
+from msgs_bridge.health import LEVELS, read_health
+from msgs_bridge.plain_text import plain
+from msgs_bridge.topics import DIAGNOSTICS
+
+MAX_NODES, MAX_TOPICS, MAX_CARS = 200, 300, 16
+# a message on /diagnostics of more bytes is none
+MAX_HEALTH_BYTES = 1 << 20
+# a node that has gone is remembered for so long; seconds
+REMEMBERED_SECONDS = 600.0
+# plots that are shown until others are chosen, as far as they are there
+FIRST_PLOTS = ('episode_return', 'speed', 'episode.return', 'validation.mean', 'reward')
+MAX_PLOTS = 6
+MAX_NAME = 200
+
+RUNNING, GONE, SILENT, UNKNOWN = 'running', 'gone', 'silent', 'says nothing'
+# a node of ours speaks once a second
+SILENT_SECONDS = 4.0
+
+
+class WatchState:
+    """
+    Everything that is known at the moment; bounded, whatever comes.
+
+    Every method may be called from any thread.
+
+    Attributes:
+        title: what is watched, in words.
+        nodes, topics: by full name.
+        cars: by namespace.
+        parameters: of nodes that were asked, by full name of the node.
+        services: what can be called, by full name.
+        rejected: messages that could not be used, beside those that a car counts.
+        notice: the answer to the last command.
+        playing: of a bag: `position`, `duration`, `paused`, `rate`; empty for a live graph.
+    """
+
+    def __init__(self, title: str) -> None:
+        """Begin with nothing."""
+        self.title = title
+        self.nodes: dict[str, Node] = {}
+        self.topics: dict[str, Topic] = {}
+        self.cars: dict[str, Car] = {}
+        self.parameters: dict[str, Mapping[str, Any]] = {}
+        self.services: frozenset[str] = frozenset()
+        self.rejected = 0
+        self.notice = ''
+        self.playing: dict[str, Any] = {}
+        self._roles: dict[str, tuple[Car, str]] = {}
+        self._lock = threading.RLock()
+
+    # --- from the source
+
+    def see_graph(
+        self, nodes: Iterable[str], topics: Mapping[str, TopicEnds], now: float,
+        services: Iterable[str] = (),
+    ) -> None:
+        """Take what the graph consists of now; `now` in s, as everywhere."""
+        with self._lock:
+            for name in nodes:
+                node = self._node(name, now)
+                if node is not None:
+                    node.listed_at = now
+            for name in [name for name, node in self.nodes.items() if now - max(
+                    node.listed_at or node.since, node.heard_at or 0.0) > REMEMBERED_SECONDS]:
+                del self.nodes[name]
+            for name, ends in topics.items():
+                if name in self.topics:
+                    self.topics[name].ends = ends
+                elif len(self.topics) < MAX_TOPICS and len(name) <= MAX_NAME:
+                    self.topics[name] = Topic(name, ends)
+            for name in self.topics.keys() - topics.keys():
+                del self.topics[name]
+            self.services = frozenset(services)
+            self._assign()
+
+    def take(
+        self, name: str, type_name: str, data: bytes, now: float, sequence: int = 0,
+    ) -> None:
+        """Take a message as it came over the wire or stands in a bag."""
+        with self._lock:
+            topic = self.topics.get(name)
+            if topic is None:
+                return
+            topic.came(now, len(data), sequence)
+            if type_name == DIAGNOSTICS.type_name:
+                self._hear(data, now)
+            elif name in self._roles:
+                car, role = self._roles[name]
+                car.take(role, message_of(type_name, data, sequence))
+
+    def take_parameters(self, node: str, values: Mapping[str, Any]) -> None:
+        """Keep the parameters of a node."""
+        with self._lock:
+            if node in self.nodes:
+                self.parameters[node] = dict(values)
+
+    def forget(self, *, everything: bool) -> None:
+        """Forget what nodes said, because time has jumped; back, then all that came."""
+        with self._lock:
+            self.nodes = {}
+            if everything:
+                self.topics, self.cars, self._roles = {}, {}, {}
+
+    def look(self, now: float) -> None:
+        """Decode what is newest; to be called some times a second."""
+        with self._lock:
+            for car in self.cars.values():
+                car.look(now)
+
+    def say(self, text: str) -> None:
+        """Show a line: the answer to a command."""
+        self.notice = plain(text, 200)
+
+    # --- for those who show it
+
+    def snapshot(
+        self, now: float, namespace: str | None = None, plots: Iterable[str] = (),
+    ) -> dict[str, Any]:
+        """
+        Return what is shown as values that JSON knows, without NaN.
+
+        Args:
+            now: in s.
+            namespace: of the car to show; None: the first.
+            plots: names of the numbers to plot; empty: a choice.
+        """
+        with self._lock:
+            car = self._car(namespace)
+            return {
+                'title': self.title, 'notice': self.notice, 'playing': dict(self.playing),
+                'cars': sorted(self.cars),
+                'causes': [cause._asdict() for cause in causes(self, now)],
+                'nodes': [self._show_node(node, now) for _, node in sorted(self.nodes.items())],
+                'topics': [_show_topic(topic, now) for _, topic in sorted(self.topics.items())],
+                'rejected': self.rejected + sum(one.rejected for one in self.cars.values()),
+                'switches': self._switches(car),
+                **_show_car(car, now, list(plots)),
+            }
+
+    def pixels(self, namespace: str | None = None) -> np.ndarray | None:
+        """Return the picture of a car, uint8 (H, W, 3) rgb, None where there is none."""
+        with self._lock:
+            car = self._car(namespace)
+            return None if car is None else car.drive.pixels
+
+    def node_state(self, node: Node, now: float) -> str:
+        """Return whether a node runs, is gone, or has fallen silent."""
+        listed = node.listed_at is not None and (
+            not self._graph_seen() or node.listed_at >= self._graph_seen() - 0.1)
+        spoke = node.heard_at is not None
+        fresh = spoke and now - node.heard_at < SILENT_SECONDS
+        if not listed and not fresh:
+            return GONE
+        if fresh:
+            return RUNNING
+        return SILENT if spoke else UNKNOWN
+
+    # --- within
+
+    def _graph_seen(self) -> float:
+        return max((node.listed_at or 0.0 for node in self.nodes.values()), default=0.0)
+
+    def _switches(self, car: Car | None) -> dict[str, Any]:
+        """Return whether the car's simulator is paused, its policy enabled, and its epsilon."""
+        found: dict[str, Any] = {'paused': self.playing.get('paused')}
+        for name, node in self.nodes.items():
+            if car is None or name.rpartition('/')[0] != car.namespace or self.playing:
+                continue
+            if node.is_simulator:
+                found['paused'] = node.values.get('paused') == 'True'
+            elif node.is_policy:
+                found['enabled'] = node.values.get('enabled') == 'True'
+                found['epsilon'] = _number(node.number('epsilon'))
+        return found
+
+    def _car(self, namespace: str | None) -> Car | None:
+        if namespace in self.cars:
+            return self.cars[namespace]
+        return self.cars[min(self.cars)] if self.cars else None
+
+    def _node(self, name: str, now: float) -> Node | None:
+        if name not in self.nodes and len(self.nodes) < MAX_NODES and len(name) <= MAX_NAME:
+            self.nodes[name] = Node(name, now)
+        return self.nodes.get(name)
+
+    def _hear(self, data: bytes, now: float) -> None:
+        try:
+            if len(data) > MAX_HEALTH_BYTES:
+                raise BridgeError('too large')
+            told = list(read_health(decode(data, DIAGNOSTICS.type_name, 'diagnostics')))
+        except (BridgeError, ValueError, TypeError, AttributeError):
+            self.rejected += 1
+            return
+        for said in told:
+            node = self._node(said.node, now)
+            if node is None or not said.node:
+                continue
+            node.hear(said, now)
+            car = self.cars.get(said.node.rpartition('/')[0])
+            if car is not None:
+                car.hear(node, now)
+
+    def _assign(self) -> None:
+        """Say which topic is what to which car."""
+        published = {name: topic for name, topic in self.topics.items()
+                     if topic.ends.publishers}
+        spaces = {name.rpartition('/')[0] for name in published
+                  if name.rpartition('/')[2] in ROLES}
+        images = [name for name, topic in published.items()
+                  if topic.ends.type_name in IMAGE_TYPES]
+        if not spaces and images:
+            spaces = {''}
+        for space in sorted(spaces):
+            if space not in self.cars and len(self.cars) < MAX_CARS:
+                self.cars[space] = Car(space)
+        self._roles = {}
+        for space, car in self.cars.items():
+            for role in ROLES:
+                self._roles[f'{space}/{role}'] = (car, role)
+        # whose camera or twists are called otherwise
+        for role, names in (('image_raw', images), ('cmd_vel', [
+                name for name, topic in published.items()
+                if topic.ends.type_name in TWIST_TYPES])):
+            for space, car in self.cars.items():
+                if f'{space}/{role}' in published:
+                    continue
+                for name in sorted(names):
+                    if name not in self._roles and name.startswith(f'{space}/'):
+                        self._roles[name] = (car, role)
+                        break
+
+    def role_of(self, name: str) -> str:
+        """Return what a topic is to a car, '' for none."""
+        return self._roles[name][1] if name in self._roles else ''
+
+    def _show_node(self, node: Node, now: float) -> dict[str, Any]:
+        return {
+            'name': node.name, 'state': self.node_state(node, now),
+            'level': LEVELS[node.level] if node.heard_at is not None else '',
+            'summary': node.summary, 'values': dict(node.values),
+            'age': None if node.heard_at is None else _number(now - node.heard_at)}
+
+
+def _show_topic(topic: Topic, now: float) -> dict[str, Any]:
+    ends = topic.ends
+    return {
+        'name': topic.name, 'type': ends.type_name, 'rate': _number(topic.rate(now)),
+        'age': None if topic.heard_at is None else _number(now - topic.heard_at),
+        'bytes': topic.size,
+        'publishers': [one._asdict() for one in ends.publishers],
+        'subscriptions': [one._asdict() for one in ends.subscriptions],
+        'misfits': [one._asdict() for one in ends.misfits]}
+
+
+def _show_car(car: Car | None, now: float, plots: list[str]) -> dict[str, Any]:
+    if car is None:
+        return {'namespace': None, 'picture': None, 'drive': {}, 'series': [], 'plots': {}}
+    drive, names = car.drive, car.series.names
+    wanted = [name for name in plots if name in names] or [
+        name for name in FIRST_PLOTS if name in names]
+    step = drive.step
+    return {
+        'namespace': car.namespace,
+        'picture': None if drive.pixels is None else {
+            'number': car.number, 'stamp': drive.stamp / 1e9, 'encoding': plain(drive.encoding),
+            'width': drive.size[0], 'height': drive.size[1]},
+        'drive': {
+            **{name: _number(step.get(name)) for name in (
+                'episode', 'decision', 'reward', 'episode_return', 'speed', 'tiles_visited',
+                'tiles_total')},
+            'actions': [[plain(name, 40), _number(value)] for name, value in drive.actions],
+            'chosen': drive.chosen, 'explored': drive.explored,
+            'version': _number(drive.version),
+            'linear': None if drive.command is None else _number(drive.command.linear),
+            'angular': None if drive.command is None else _number(drive.command.angular),
+            'validation': _number(drive.validation.get('mean')),
+            'ended': drive.ended},
+        'series': [plain(name) for name in names],
+        'plots': {name: [[round(ago, 2), _number(value)] for ago, value in points]
+                  for name in wanted[:MAX_PLOTS] if (points := car.series.points(name, now))},
+    }
+
+
+def _number(value: float | None) -> float | None:
+    """Return a number that JSON can carry in few characters, None in place of NaN."""
+    if value is None or not math.isfinite(value):
+        return None
+    return float(f'{value:.6g}')

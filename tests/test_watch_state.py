@@ -1,0 +1,265 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""The state that is watched: bounded whatever comes, and what is wrong named by its cause."""
+import json
+
+from bag_cases import bundle, image, serialized, stamp_of, TYPES, twist
+from carracing_dqn.watch.car import MAX_SMALL_BYTES
+from carracing_dqn.watch.graph_parts import End, Misfit, RATE_SECONDS, Topic, TopicEnds
+from carracing_dqn.watch.series import KEPT_SECONDS, MAX_NAMES, SeriesTable
+from carracing_dqn.watch.state import MAX_CARS, MAX_NODES, MAX_TOPICS, WatchState
+from msgs_bridge.step import Step
+from msgs_bridge.topics import CMD_VEL, DIAGNOSTICS, IMAGE, Q_VALUES, STEP, TOPICS
+from msgs_bridge.twists import Command
+import numpy as np
+import pytest
+
+SIMULATOR, POLICY, TRAINER, RECORDER = (
+    '/carracing_sim_node', '/dqn_policy_node', '/trainer_node', '/bag_recorder_node')
+FRAME = 40_000_000
+"""ns from one image to the next, at which the shipped model decides."""
+
+
+def end(node, topic, **changes):
+    return End(node, topic.type_name, 'reliable')._replace(**changes)
+
+
+def ends(topic, publisher, *subscriptions):
+    return TopicEnds(topic.type_name, [end(publisher, topic)],
+                     [end(node, topic) for node in subscriptions])
+
+
+GRAPH = {
+    '/image_raw': ends(IMAGE, SIMULATOR, POLICY), '/step': ends(STEP, SIMULATOR, TRAINER),
+    '/cmd_vel': ends(CMD_VEL, POLICY, SIMULATOR), '/q_values': ends(Q_VALUES, POLICY),
+    '/diagnostics': ends(DIAGNOSTICS, SIMULATOR)}
+NODES = (SIMULATOR, POLICY)
+
+
+def health(node, summary='driving', level=0, **values):
+    status, pair = (TYPES.types[f'diagnostic_msgs/msg/{name}']
+                    for name in ('DiagnosticStatus', 'KeyValue'))
+    header = TYPES.types['std_msgs/msg/Header'](stamp_of(0), '')
+    return serialized(DIAGNOSTICS.type_name, header, [status(
+        level, node, summary, 'x', [pair(key, str(value)) for key, value in values.items()])])
+
+
+def simulator(**values):
+    return health(SIMULATOR, simulator='carracing', decisions_per_second=50, paused=False,
+                  **values)
+
+
+def policy(**values):
+    return health(POLICY, **{'weights_version': 7, 'sequences': 1, 'decision_seconds': 0.04,
+                             'enabled': True, 'epsilon': 0, **values})
+
+
+def frame(red=(122, 55, 55)):
+    pixels = np.full((96, 96, 3), 100, np.uint8)
+    pixels[68:76, 45:51] = red
+    return pixels
+
+
+def step_bundle(number, applied, angular, **info):
+    step = Step(1.0, False, False, 0, number, float(number), 5, applied,
+                {'linear': 0.2, 'angular': angular, 'speed': 30.0, **info})
+    return bundle(number * FRAME, step.values())
+
+
+def drive(state, *, frames=30, period=FRAME, red=(122, 55, 55), told=0.3, applied=0.3,
+          begin=0, extra=()):
+    """Let a car drive; `applied` is what the simulator makes of the angular it is `told`."""
+    for number in range(begin, begin + frames):
+        now = number / 5
+        state.see_graph(NODES, GRAPH, now)
+        for data in (simulator(), policy(), *extra):
+            state.take('/diagnostics', DIAGNOSTICS.type_name, data, now)
+        for half in (2 * number, 2 * number + 1):
+            stamp = half * period
+            state.take('/image_raw', IMAGE.type_name, image(stamp, frame(red)), now, half + 1)
+            state.take('/cmd_vel', CMD_VEL.type_name, twist(stamp, Command(0.2, told)), now)
+            values = {'left': 1.5, 'gas': 2.5, 'chosen': 1, 'explored': 0, 'weights_version': 7}
+            state.take('/q_values', Q_VALUES.type_name, bundle(stamp, values), now, half + 1)
+            values = Step(1.0, False, False, 0, half, float(half), 5,
+                          stamp - period if half else None,
+                          {'linear': 0.2, 'angular': applied, 'speed': 30.0}).values()
+            state.take('/step', STEP.type_name, bundle(stamp, values), now, half + 1)
+        state.look(now)
+    return now
+
+
+def kinds(state, now):
+    return [cause['kind'] for cause in state.snapshot(now)['causes']]
+
+
+def test_a_car_that_drives_well_is_shown_whole_and_nothing_is_wrong():
+    state = WatchState('test')
+    now = drive(state)
+    shown = state.snapshot(now)
+    json.dumps(shown, allow_nan=False)
+    assert shown['causes'] == [] and shown['rejected'] == 0
+    assert shown['drive']['actions'] == [['left', 1.5], ['gas', 2.5]]
+    assert shown['drive']['chosen'] == 1 and shown['drive']['speed'] == 30
+    assert (shown['drive']['linear'], shown['drive']['angular']) == (0.2, 0.3)
+    assert shown['picture']['width'] == 96 and shown['switches']['enabled']
+    assert (state.pixels()[70, 47] == (122, 55, 55)).all()
+    assert [round(topic['rate']) for topic in shown['topics'] if topic['name'] == '/step'] == [10]
+    assert {'episode_return', 'speed'} <= shown['plots'].keys()
+    assert {'q.gas', 'speed', 'dqn_policy_node.epsilon'} <= set(shown['series'])
+    assert state.snapshot(now, plots=['q.gas'])['plots'].keys() == {'q.gas'}
+
+
+def test_the_picture_goes_with_the_step_and_the_values_of_its_stamp():
+    state = WatchState('test')
+    drive(state, frames=5)
+    # the next step comes before its image does
+    state.take('/step', STEP.type_name, step_bundle(10, None, 0.0), 1.0)
+    state.look(1.0)
+    assert state.snapshot(1.0)['drive']['decision'] == 9
+    state.take('/image_raw', IMAGE.type_name, image(10 * FRAME, frame()), 1.2)
+    state.look(1.2)
+    assert state.snapshot(1.2)['drive']['decision'] == 10
+
+
+@pytest.mark.parametrize(('changes', 'kind'), [
+    ({'red': (55, 55, 122)}, 'swapped colours'),
+    ({'period': 2 * FRAME}, 'low rate'),
+    ({'applied': -0.3}, 'mirrored steering'),
+])
+def test_what_pictures_and_twists_tell(changes, kind):
+    state = WatchState('test')
+    assert kinds(state, drive(state, **changes)) == [kind]
+
+
+@pytest.mark.parametrize(('parameters', 'kind'), [
+    ({'angular_scale': -1.0}, 'mirrored steering'),
+    ({'camera_mirror': True}, 'mirrored steering'),
+    ({'camera_encoding': 'bgr8'}, 'swapped colours'),
+])
+def test_what_parameters_tell(parameters, kind):
+    state = WatchState('test')
+    now = drive(state)
+    state.take_parameters(POLICY, parameters)
+    assert kinds(state, now) == [kind]
+    assert state.snapshot(now)['causes'][0]['where'] == POLICY
+
+
+def test_a_camera_that_lies_and_a_policy_that_knows_it_are_well():
+    state = WatchState('test')
+    now = drive(state, red=(55, 55, 122))
+    state.take_parameters(POLICY, {'camera_encoding': 'bgr8'})
+    assert kinds(state, now) == []
+
+
+def test_ends_that_do_not_match_and_names_that_do_not_meet():
+    state = WatchState('test')
+    plain = End(POLICY, 'geometry_msgs/msg/Twist', 'reliable')
+    state.see_graph(NODES, {
+        '/cmd_vel': TopicEnds(plain.type_name, [plain], [end(SIMULATOR, CMD_VEL)], [
+            Misfit('type', POLICY, SIMULATOR, 'types differ')]),
+        '/image_raw': TopicEnds(IMAGE.type_name, [end(SIMULATOR, IMAGE, reliable=False)],
+                                [end(POLICY, IMAGE)], [
+                                    Misfit('QoS', SIMULATOR, POLICY, 'best effort, reliable')]),
+    }, 1.0)
+    assert kinds(state, 1.0) == ['plain twist', 'best effort']
+    state.see_graph(NODES, {
+        '/image_raw': ends(IMAGE, SIMULATOR, RECORDER),
+        '/camera/image': TopicEnds(IMAGE.type_name, [], [end(POLICY, IMAGE)])}, 2.0)
+    (cause,) = state.snapshot(2.0)['causes']
+    assert cause['kind'] == 'wrong remap' and '/camera/image' in cause['text']
+    assert cause['mend'] == f'-r image:=/image_raw at {POLICY}, or one name at both'
+
+
+def test_nodes_that_fall_silent_go_or_have_no_room():
+    state = WatchState('test')
+    hear = (health(RECORDER, 'recording'), health(TRAINER, 'learning', progress=1))
+    now = drive(state, extra=hear)
+    state.see_graph((*NODES, RECORDER, TRAINER), GRAPH, now)
+    assert kinds(state, now) == []
+    now = drive(state, frames=30, begin=30)
+    state.see_graph((*NODES, TRAINER), GRAPH, now)
+    found = {cause['where']: cause for cause in state.snapshot(now)['causes']}
+    assert {where: cause['kind'] for where, cause in found.items()} == {
+        RECORDER: 'node gone', TRAINER: 'node silent'}
+    assert 'recording' in found[RECORDER]['text']
+    text = 'recording ended: No space left on device'
+    now = drive(state, begin=60, extra=[health(RECORDER, text, 2)])
+    now = drive(state, begin=90)
+    assert kinds(state, now)[0] == 'full disk'
+
+
+def test_weights_that_fall_behind_and_a_trainer_that_takes_nothing():
+    state = WatchState('test')
+    trainer = {'progress': 0.1, 'weights_version': 9, 'decisions': 5}
+    now = drive(state, extra=[health(TRAINER, 'learning', **trainer)], frames=20)
+    state.see_graph((*NODES, TRAINER), GRAPH, now)
+    assert kinds(state, now) == []
+    trainer['weights_version'] = 30
+    now = drive(state, extra=[health(TRAINER, 'learning', **trainer)], frames=50, begin=20)
+    state.see_graph((*NODES, TRAINER), GRAPH, now)
+    assert kinds(state, now) == ['stale weights', 'silent trainer']
+
+
+def test_listeners_for_whom_a_simulator_once_waited():
+    state = WatchState('test')
+    now = drive(state)
+    state.take_parameters(SIMULATOR, {'wait_for_subscribers': 2})
+    assert kinds(state, now) == ['listener gone']
+
+
+def test_a_pause_is_nothing_wrong():
+    state = WatchState('test')
+    now = drive(state)
+    state.take('/diagnostics', DIAGNOSTICS.type_name, health(
+        SIMULATOR, simulator='carracing', decisions_per_second=0, paused=True), now)
+    state.take('/diagnostics', DIAGNOSTICS.type_name, health(
+        POLICY, 'no image for 2 s', 1, weights_version=7, sequences=1), now)
+    assert kinds(state, now) == [] and state.snapshot(now)['switches']['paused']
+
+
+def test_nothing_that_comes_ends_it_and_everything_is_bounded():
+    state = WatchState('test')
+    now = drive(state, frames=5)
+    random = np.random.default_rng(0)
+    for topic in TOPICS:
+        name = topic.name if topic.name.startswith('/') else f'/{topic.name}'
+        for size in (0, 3, 40, 500):
+            state.take(name, topic.type_name, random.bytes(size), now)
+            state.take(name, 'no/msg/Type', random.bytes(size), now)
+    good = image(1, frame())
+    state.take('/image_raw', IMAGE.type_name, good[:-5], now)
+    state.take('/step', STEP.type_name, bundle(2, {'reward': float('nan')}), now)
+    state.take('/step', STEP.type_name, b'\0' * (MAX_SMALL_BYTES + 1), now)
+    state.take('/q_values', Q_VALUES.type_name, bundle(
+        3, {'a': float('inf'), 'chosen': 1e300, 'explored': 0, 'weights_version': 0}), now)
+    state.take('/diagnostics', DIAGNOSTICS.type_name, health('\x1b[31m' * 1000), now)
+    for number in range(3 * MAX_NODES):
+        state.take('/diagnostics', DIAGNOSTICS.type_name, health(f'/n{number}', 'x' * 999), now)
+    state.see_graph([f'/m{number}' for number in range(999)], {
+        f'/c{number}/image_raw': ends(IMAGE, SIMULATOR) for number in range(999)}, now)
+    state.look(now)
+    shown = state.snapshot(now)
+    text = json.dumps(shown, allow_nan=False)
+    assert shown['rejected'] > 5
+    assert len(state.nodes) <= MAX_NODES and len(state.topics) <= MAX_TOPICS
+    assert len(state.cars) <= MAX_CARS and '\\u001b' not in text
+
+
+def test_series_are_bounded_in_names_and_time_and_go_back_with_a_bag():
+    table = SeriesTable()
+    for number in range(3 * int(KEPT_SECONDS)):
+        table.add(float(number), {f'{number}': 1.0, 'nan': float('nan'), 'x': float(number)})
+    assert len(table) == MAX_NAMES and table.points('nan', 0.0) == []
+    points = table.points('x', 900.0)
+    assert 0 < len(points) <= KEPT_SECONDS and points[-1] == (1.0, 899.0)
+    table.add(5.0, {'x': 1.0})
+    assert table.points('x', 5.0) == [(0.0, 1.0)]
+
+
+def test_rates_come_from_the_publishers_numbers_and_fall_when_it_stops():
+    topic = Topic('/x', ends(STEP, SIMULATOR))
+    assert topic.rate(0.0) is None
+    for look in range(40):
+        topic.came(look / 10, 10, 100 * look + 1)
+    assert topic.rate(3.9) == pytest.approx(1000, rel=0.01)
+    assert topic.rate(5.5) < 700 and topic.rate(3.9 + 2 * RATE_SECONDS) == 0
