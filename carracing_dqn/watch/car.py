@@ -101,7 +101,8 @@ class Car:
         rejected: messages that could not be used.
         number: of the picture, counted up with each new one.
         camera: what its camera is known to be like, as in `Profile.camera`.
-        weights_fresh_at: when the policy last drove with about the newest weights; seconds.
+        handed_out: version of the weights that the trainer has published, None where none is.
+        weights_fresh_at: when the policy last drove with about those; seconds.
     """
 
     def __init__(self, namespace: str) -> None:
@@ -114,7 +115,8 @@ class Car:
         self.number = 0
         self.camera: Mapping[str, Any] = {}
         self.weights_fresh_at = math.inf
-        self._versions: dict[str, float] = {}
+        self.handed_out: float | None = None
+        self._drives_with: float | None = None
         self._messages: dict[str, deque[Message]] = {
             role: deque(maxlen=KEPT_MESSAGES) for role in ('step', 'q_values', 'cmd_vel')}
         self._messages['image_raw'] = deque(maxlen=2)
@@ -143,12 +145,20 @@ class Car:
         if node.is_simulator:
             self.camera = _camera(node.values['simulator'])
             self.evidence.patch = self.camera.get('patch')
-        version = node.number('weights_version')
-        if version is not None and (node.is_policy or node.is_trainer):
-            self._versions['policy' if node.is_policy else 'trainer'] = version
-            if len(self._versions) < 2 or max(self._versions.values()) - min(
-                    self._versions.values()) <= STALE_VERSIONS or self.weights_fresh_at > now:
-                self.weights_fresh_at = now
+        if node.is_policy:
+            self._drives_with = node.number('weights_version')
+            self._compare_weights(now)
+
+    def hand_out(self, version: float | None, now: float) -> None:
+        """Note which version of the weights a trainer has handed out."""
+        self.handed_out = version
+        self._compare_weights(now)
+
+    def _compare_weights(self, now: float) -> None:
+        known = self.handed_out is not None and self._drives_with is not None
+        if not known or abs(self.handed_out - self._drives_with) <= STALE_VERSIONS or (
+                self.weights_fresh_at > now):
+            self.weights_fresh_at = now
 
     def look(self, now: float) -> None:
         """Decode the newest picture and what has its stamp; `now` in s is when for the plots."""

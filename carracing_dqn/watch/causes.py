@@ -234,36 +234,27 @@ def _rate(state: WatchState, now: float) -> Iterator[Cause]:
 
 def _weights(state: WatchState, now: float) -> Iterator[Cause]:
     for car, policy, _, parameters in _pairs(state):
-        if policy is None:
-            continue
-        space = policy.name.rpartition('/')[0]
-        for name, node in state.nodes.items():
-            version = node.number('weights_version')
-            if name.rpartition('/')[0] != space or not node.is_trainer or version is None:
-                continue
-            since = now - car.weights_fresh_at
-            if since > STALE_SECONDS:
-                yield Cause('stale weights', policy.name,
-                            f'it drives with version {policy.values["weights_version"]}, '
-                            f'{name} has handed out {version:g}',
-                            'hot_swap:=true' if parameters.get('hot_swap') is False else
-                            'what it says of weights, and whether it hears them')
+        if policy is not None and now - car.weights_fresh_at > STALE_SECONDS:
+            yield Cause('stale weights', policy.name,
+                        f'it drives with version {policy.values["weights_version"]}, the trainer '
+                        f'has handed out {car.handed_out:g}',
+                        'hot_swap:=true' if parameters.get('hot_swap') is False else
+                        'what it says of weights, and whether it hears them')
 
 
 def _trainers(state: WatchState, now: float) -> Iterator[Cause]:
-    """Find trainers that speak, but learn nothing although the car drives."""
-    for car, _, simulator, _ in _pairs(state):
-        for name, node in state.nodes.items():
-            if name.rpartition('/')[0] == car.namespace and node.is_trainer and (
-                    state.node_state(node, now) == 'running'
-                    and now - node.progress_at > IDLE_SECONDS and _moves(simulator)):
-                yield Cause('silent trainer', name,
-                            f'it has taken no transition for {now - node.progress_at:.0f} s, and '
-                            f'says: {node.summary}', 'what it says is missing')
+    """Find trainers that speak, but learn nothing although a car drives."""
+    driving = any(_moves(node) for node in state.nodes.values())
+    for name, node in state.nodes.items():
+        idle = now - node.progress_at
+        if driving and node.is_trainer and idle > IDLE_SECONDS and (
+                state.node_state(node, now) == 'running'):
+            yield Cause('silent trainer', name, f'it has taken no transition for {idle:.0f} s, '
+                        f'and says: {node.summary}', 'what it says is missing')
 
 
-def _moves(simulator: Node | None) -> bool:
-    return simulator is not None and (simulator.number('decisions_per_second') or 0.0) > 0
+def _moves(node: Node) -> bool:
+    return node.is_simulator and (node.number('decisions_per_second') or 0.0) > 0
 
 
 def _warnings(state: WatchState, now: float) -> Iterator[Cause]:

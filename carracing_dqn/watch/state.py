@@ -213,9 +213,13 @@ class WatchState:
             if node is None or not said.node:
                 continue
             node.hear(said, now)
-            car = self.cars.get(said.node.rpartition('/')[0])
-            if car is not None:
-                car.hear(node, now)
+            space = said.node.rpartition('/')[0]
+            if space in self.cars:
+                self.cars[space].hear(node, now)
+            if node.is_trainer:
+                # one learns from many cars
+                for car in self.cars.values():
+                    car.hand_out(node.number('weights_version'), now)
 
     def _assign(self) -> None:
         """Say which topic is what to which car."""
