@@ -4,11 +4,11 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 import dataclasses
 from typing import Any
 
-from carracing_dqn.bringup.graph import KINDS
+from carracing_dqn.bringup.graph import KINDS, TRAINER
 from msgs_bridge import topics
 from msgs_bridge.errors import MessageError
 from msgs_bridge.health import read_health
@@ -22,6 +22,7 @@ __all__ = ['absolute_namespace', 'GraphState', 'Monitor']
 
 # What is kept, whoever publishes it: everything here has a bound.
 KEPT_RESULTS = 100
+MAX_CARS = 128
 
 NODES = frozenset(kind.name for kind in KINDS)
 SUMMARY = 'summary'
@@ -31,7 +32,7 @@ SUMMARY = 'summary'
 @dataclasses.dataclass
 class GraphState:
     """
-    The newest word of every node of ours in one namespace.
+    The newest word of every node of ours in one namespace, and of the cars that its trainer has.
 
     Attributes:
         namespace: absolute, without a slash at its end: '' is the root.
@@ -40,6 +41,7 @@ class GraphState:
         return_sum: sum of their returns.
         validations: the newest results of validation, oldest first.
         health: diagnostics values by full node name, the summary among them.
+        cars: what the trainer says of each of several cars, by its namespace.
         rejected: messages that could not be used.
     """
 
@@ -49,14 +51,15 @@ class GraphState:
     return_sum: float = 0.0
     validations: deque = dataclasses.field(default_factory=lambda: deque(maxlen=KEPT_RESULTS))
     health: dict[str, dict[str, str]] = dataclasses.field(default_factory=dict)
+    cars: dict[str, dict[str, str]] = dataclasses.field(default_factory=dict)
     rejected: int = 0
 
-    def value(self, node: str, name: str, default: float = float('nan')) -> float:
-        """Return one number from the diagnostics of a node of this namespace."""
-        try:
-            return float(self.health[f'{self.namespace}/{node}'][name])
-        except (KeyError, ValueError):
-            return default
+    def value(
+        self, node: str, name: str, default: float = float('nan'), *, space: str | None = None,
+    ) -> float:
+        """Return one number from the diagnostics of a node of this namespace, or of another."""
+        space = self.namespace if space is None else space
+        return number(self.health.get(f'{space}/{node}', {}), name, default)
 
     def summary(self, node: str) -> str:
         """Return what a node of this namespace says it is doing; 'starting' before it does."""
@@ -81,10 +84,36 @@ class GraphState:
 
     def take_diagnostics(self, message: Any) -> None:
         """Keep what our nodes of this namespace say; others share the topic."""
-        for said in read_health(message):
-            space, _, node = said.node.rpartition('/')
-            if space == self.namespace and node in NODES:
-                self.health[said.node] = {SUMMARY: said.summary, **said.values}
+        said = list(read_health(message))
+        trainer, cars = f'{self.namespace}/{TRAINER.name}', {}
+        for one in said:
+            # parts of a node follow its name
+            full_name, _, part = one.node.partition(': ')
+            space, _, node = full_name.rpartition('/')
+            if node not in NODES or (space != self.namespace and space not in self.cars):
+                continue
+            values = {SUMMARY: one.summary, **one.values}
+            if not part:
+                self.health[full_name] = values
+            elif full_name == trainer and len(cars) < MAX_CARS:
+                cars[part] = values
+        if any(one.node == trainer for one in said):
+            self._take_cars(cars)
+
+    def _take_cars(self, cars: dict[str, dict[str, str]]) -> None:
+        for name in self.cars.keys() - cars.keys():
+            # what a car says of itself is kept as long as the trainer has it
+            for node in NODES:
+                self.health.pop(f'{name}/{node}', None)
+        self.cars = cars
+
+
+def number(values: Mapping[str, str], name: str, default: float = float('nan')) -> float:
+    """Return one number from the diagnostics values of a node or of a part of one."""
+    try:
+        return float(values[name])
+    except (KeyError, ValueError):
+        return default
 
 
 class Monitor(ListeningNode):

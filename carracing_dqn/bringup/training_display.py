@@ -1,13 +1,15 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
-"""How learning looks while it goes on: a table of 80 columns, or a line."""
+"""How learning looks while it goes on: tables of 80 columns, or a line."""
 from __future__ import annotations
 
 from collections.abc import Iterator
 import math
 
 from carracing_dqn.bringup.graph import POLICY, SIMULATOR, TRAINER
+from carracing_dqn.bringup.cars_display import cars_in_words, cars_table
 from carracing_dqn.bringup.monitor import GraphState
+from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
@@ -31,9 +33,12 @@ LIVE_VALUES = (
 
 SHOWN_VALIDATIONS = 3
 
+FRAME = 4
+"""Lines of a table that are no rows: title, frame, prompt."""
 
-def training_table(state: GraphState, rows: int) -> Table:
-    """Return the state of learning as a table of 80 columns and fewer than `rows` lines."""
+
+def training_table(state: GraphState, rows: int) -> RenderableType:
+    """Return the state of learning as tables of 80 columns and fewer than `rows` lines."""
     table = Table(title=Text(state.summary(TRAINER.name)), show_header=False, padding=(0, 1))
     for _ in range(2):
         table.add_column()
@@ -48,18 +53,22 @@ def training_table(state: GraphState, rows: int) -> Table:
         for result in list(state.validations)[-SHOWN_VALIDATIONS:]]
     if validations:
         table.caption = 'validation of version ' + '\n'.join(validations)
-    return table
+    if not state.cars:
+        return table
+    used = table.row_count + len(validations) + FRAME
+    return Group(table, cars_table(state, rows - used))
 
 
 def _entries(state: GraphState) -> Iterator[tuple[str, str]]:
     """Yield label and text of every value."""
     for label, name, form in LIVE_VALUES:
         yield label, _text(state.value(TRAINER.name, name), form)
-    yield 'decisions/s', _text(state.value(SIMULATOR.name, 'decisions_per_second'), '.0f')
-    # the policy may have told of weights that the trainer has not told of yet
-    age = (state.value(TRAINER.name, 'weights_version')
-           - state.value(POLICY.name, 'weights_version'))
-    yield 'weight age (versions)', _text(max(age, 0.0) if age == age else age, '.0f')
+    if not state.cars:
+        yield 'decisions/s', _text(state.value(SIMULATOR.name, 'decisions_per_second'), '.0f')
+        # the policy may have told of weights that the trainer has not told of yet
+        age = (state.value(TRAINER.name, 'weights_version')
+               - state.value(POLICY.name, 'weights_version'))
+        yield 'weight age (versions)', _text(max(age, 0.0) if age == age else age, '.0f')
     seconds, progress = (state.value(TRAINER.name, name) for name in ('wall_seconds', 'progress'))
     left = seconds * (1 / progress - 1) / 60 if progress > 0 else math.nan
     yield 'minutes so far', _text(seconds / 60, '.1f')
@@ -89,6 +98,7 @@ def training_line(state: GraphState) -> str:
     line += (show('epsilon {}', 'epsilon', '.3f')
              + show('{} updates/s', 'updates_per_second', '.1f')
              + show('{} decisions/s', 'decisions_per_second', '.0f', SIMULATOR.name))
+    line += cars_in_words(state)
     if state.validations:
         result = state.validations[-1]
         line += f'; validation {result["mean"]:.1f} ± {result["std"]:.1f}'
