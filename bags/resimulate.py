@@ -103,7 +103,8 @@ class Resimulator:
                 raise
             self._kind = None
         self._cannot = (
-            f'its simulator {name[:60]!r} is not installed; name it by --simulator'
+            f'its simulator {name[:60]!r} is none of the installed, and a bag has no say in what '
+            'is imported; name it by --simulator'
             if self._kind is None else
             '' if self._kind.deterministic else f'simulator {name!r} is not deterministic')
         self._frame_limit = _frame_limit(reader, namespace)

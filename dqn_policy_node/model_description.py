@@ -192,7 +192,9 @@ class ModelDescription:
         channels, (height, width) = self.frame_stack, self.preprocessing.shape
         for layer in self.network.convolutions:
             if min(height, width) < layer.kernel:
-                raise ModelError(f'a kernel of {layer.kernel} does not fit on {height}x{width}')
+                raise ModelError(
+                    f'a kernel of {layer.kernel} does not fit on {height}x{width}; a smaller '
+                    'shrink leaves more of a picture, smaller kernels or strides need less')
             channels = layer.filters
             height = (height - layer.kernel) // layer.stride + 1
             width = (width - layer.kernel) // layer.stride + 1

@@ -20,7 +20,8 @@ def nodes(context: object) -> list:
     simulator, run = value('simulator') or None, value('run')
     preset = choose_preset(value('preset') or None, simulator)
     # the nodes stay in the folder that launch was called in
-    pairs = [*pairs_of_simulator(simulator, '.'), *filter(None, value('overrides').split(','))]
+    pairs = [*pairs_of_simulator(simulator, preset, '.'),
+             *filter(None, value('overrides').split(','))]
     settings = load_preset(preset, read_overrides(pairs))
     return launch_actions(training_graph(
         settings, vehicle=profile_of(settings.simulator).vehicle,

@@ -85,6 +85,12 @@ def describe(settings_class: type) -> dict[str, tuple[type, Any, Description]]:
     }
 
 
+def numbers(settings: Any) -> dict[str, float]:
+    """Return the settings that are numbers, true and false as 1 and 0, by name."""
+    return {name: float(getattr(settings, name))
+            for name, (kind, _, _) in describe(type(settings)).items() if kind is not str}
+
+
 def check_value(name: str, kind: type, description: Description, value: Any) -> Any:
     """
     Return the value as its type, or say what is accepted.

@@ -155,7 +155,7 @@ def test_a_bag_of_any_simulator_is_driven_again_where_that_can_be(tmp_path):
     assert (driven.episodes, driven.differing_frames) == (2, 0) and driven.frames > 10
     # a name out of a bag imports nothing, and no other simulator is taken for it
     for options, told in (
-            ({}, "its simulator 'toy_simulator:Toy' is not installed"),
+            ({}, "its simulator 'toy_simulator:Toy' is none of the installed"),
             ({'simulator': f'{__name__}:Undetermined'}, 'is not deterministic')):
         found = verified(bag, **options)
         assert found.good and found.resimulation.frames == 0

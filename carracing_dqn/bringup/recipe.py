@@ -23,12 +23,13 @@ def choose_preset(preset: str | None, simulator: str | None) -> str:
     return preset or PRESET
 
 
-def pairs_of_simulator(name: str | None, folder: Path) -> list[str]:
+def pairs_of_simulator(name: str | None, preset: str, folder: Path) -> list[str]:
     """
     Return NAME=VALUE of what a simulator looks like and of what its profile says.
 
     Args:
         name: of the simulator; None for that of the preset, of which nothing is asked.
+        preset: of the run.
         folder: of the run, from which its nodes see a profile that is named by its path.
 
     Raises:
@@ -37,7 +38,8 @@ def pairs_of_simulator(name: str | None, folder: Path) -> list[str]:
     """
     if name is None:
         return []
-    pairs = [f'{key}={_as_text(value)}' for key, value in settings_from(name, folder).items()]
+    pairs = [f'{key}={_as_text(value)}'
+             for key, value in settings_from(name, preset, folder).items()]
     try:
         read_overrides(pairs)
     except SettingsError as error:

@@ -164,7 +164,7 @@ def _overrides(pairs: list[str]) -> dict[str, Any]:
 def _pairs(arguments: argparse.Namespace, preset: str, folder: Path) -> list[str]:
     """Return NAME=VALUE of what differs from the preset; the last of a name counts."""
     minutes = [] if arguments.minutes is None else [f'run_minutes={arguments.minutes}']
-    simulator = pairs_of_simulator(arguments.simulator, folder)
+    simulator = pairs_of_simulator(arguments.simulator, preset, folder)
     model = pairs_of_model(arguments.initial_model, preset, simulator, folder)
     return [*simulator, *model, *arguments.set, *minutes]
 

@@ -5,15 +5,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 import dataclasses
-import math
 import time
 from typing import Any, Protocol
 
 from carracing_dqn.evaluation.errors import EvaluationError, PolicyError
+from carracing_dqn.simulation.checks import Checks
 from carracing_sim_node.controls import command_of
 from msgs_bridge.simulator import Simulator
 from msgs_bridge.twists import Command
 import numpy as np
+
+MAX_FRAMES = 200_000
+"""Of an episode: CarRacing's, 1000 frames, has ended long before."""
 
 RETURN_DIGITS = 6
 """Returns are rounded to this, so that they do not show in which order rewards were added."""
@@ -87,8 +90,9 @@ def drive_lap(
 
     Raises:
         PolicyError: an answer that is no command, or that CarRacing cannot obey.
-        EvaluationError: somebody wants to watch a simulator that is not CarRacing, or a reward is
-            not finite.
+        SimulatorError: what the simulator gives is none of what it owes.
+        EvaluationError: somebody wants to watch a simulator that is not CarRacing, or the episode
+            has no end.
     """
     started = time.perf_counter()
     world = getattr(simulator, 'world', None)
@@ -96,22 +100,21 @@ def drive_lap(
         raise EvaluationError(
             f'a {type(simulator).__name__} has no track to look at; CarRacing has')
     look_every = looks_every(policy) if simulator.draws_on_request else 1
-    outcome = simulator.reset(seed if simulator.seeded else None)
+    checks = Checks(type(simulator).__name__)
+    outcome = checks.reset(simulator, seed if simulator.seeded else None)
     policy.reset(seed)
     frame = outcome.pixels
     total, frames = 0.0, 0
     while not (outcome.terminated or outcome.truncated):
         command = checked_command(policy.act(frame))
         frames += 1
-        if look_every == 1:
-            outcome = simulator.advance(command, 1)
-        else:
-            outcome = simulator.advance(
-                command, 1, draw=look_every > 0 and frames % look_every == 0)
+        if frames > MAX_FRAMES:
+            raise EvaluationError(f'seed {seed}: no end after {MAX_FRAMES} frames; a limit such '
+                                  'as max_episode_frames in a profile would give it one')
+        outcome = checks.advance(
+            simulator, command, draw=look_every > 0 and frames % look_every == 0)
         frame = frame if outcome.pixels is None else outcome.pixels
         total += float(outcome.reward)
-        if not math.isfinite(total):
-            raise EvaluationError(f'the simulator gives the reward {outcome.reward}')
         if watch is not None:
             watch(world, float(outcome.reward))
     return lap_of(seed, total, frames, outcome.info, time.perf_counter() - started)

@@ -3,7 +3,7 @@
 """Episodes of any simulator one after the other on one clock: what its node says, without ROS."""
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 import dataclasses
 import math
 import time
@@ -11,20 +11,18 @@ from typing import Any
 
 import numpy as np
 
-from carracing_dqn.simulation.registry import DEFAULT, find_simulator
+from carracing_dqn.simulation.checks import Checks
+from carracing_dqn.simulation.registry import construct, DEFAULT
 from carracing_dqn.simulation.settings import settings_for, SimulationSettings
 from msgs_bridge.errors import SimulatorError
-from msgs_bridge.images import MAX_SIDE
 from msgs_bridge.settings import from_mapping
 from msgs_bridge.simulator import Outcome, Simulator
 from msgs_bridge.stamps import NANOSECONDS
-from msgs_bridge.step import CONTRACT_VERSION, EPISODE_CORE, Step, STEP_CORE, STEP_INFO
+from msgs_bridge.step import CONTRACT_VERSION, Step
 from msgs_bridge.twists import Command, STOP
 
 # A gap that no camera makes between frames, so that a policy sees a new scene by stamps alone.
 RESET_NANOSECONDS = NANOSECONDS
-# simulated seconds of a frame
-SHORTEST_FRAME, LONGEST_FRAME = 1e-6, 10.0
 # episodes that are passed over at once, between two looks at the clock
 SKIPPED_AT_ONCE = 16
 
@@ -71,7 +69,7 @@ class Drive:
         self.episode = settings.first_episode - 1
         self.stamp = 0
         self.running = False
-        self._checks = _Checks(settings.simulator)
+        self._checks = Checks(settings.simulator)
         self._frame_nanoseconds = self._checks.frame_nanoseconds(simulator)
         # longer than the gap between two frames, however long those last
         self._reset_nanoseconds = max(
@@ -133,13 +131,12 @@ class Drive:
         self.skip_for(math.inf)
         self.episode += 1
         if not self.simulator.seeded:
-            outcome = self.simulator.reset(None)
+            seed = None
         elif self.settings.seed_each_episode:
-            outcome = self.simulator.reset(self.seed)
+            seed = self.seed
         else:
-            outcome = self.simulator.reset(self._stream_seed)
-            self._stream_seed = None
-        self._checks.outcome(outcome, 0)
+            seed, self._stream_seed = self._stream_seed, None
+        outcome = self._checks.reset(self.simulator, seed)
         self.running = True
         self._decision = self._frames = self._unanswered = 0
         self._return = 0.0
@@ -163,8 +160,7 @@ class Drive:
         """
         if not self.running:
             raise SimulatorError('no episode is running')
-        outcome = self.simulator.advance(command, self.settings.action_repeat)
-        self._checks.outcome(outcome, self.settings.action_repeat)
+        outcome = self._checks.advance(self.simulator, command, self.settings.action_repeat)
         self._decision += 1
         self._frames += outcome.frames
         self._unanswered += applied is None
@@ -208,75 +204,6 @@ class Drive:
         return {**{name: float(value) for name, value in values.items()}, **self._constants}
 
 
-class _Checks:
-    """What a simulator gives, before it is believed; errors name the simulator."""
-
-    def __init__(self, name: str) -> None:
-        self._name = name[:100]
-        self._shape: tuple[int, ...] | None = None
-        self._names: tuple[str, ...] | None = None
-
-    def _refuse(self, what: str) -> SimulatorError:
-        return SimulatorError(f'simulator {self._name!r} {what}')
-
-    def frame_nanoseconds(self, simulator: Simulator) -> int:
-        seconds = getattr(simulator, 'frame_seconds', None)
-        if not (isinstance(seconds, (int, float))
-                and SHORTEST_FRAME <= seconds <= LONGEST_FRAME):
-            raise self._refuse(f'has frame_seconds {seconds!r}; accepted: {SHORTEST_FRAME:g} to '
-                               f'{LONGEST_FRAME:g}')
-        return round(seconds * NANOSECONDS)
-
-    def constants(self, simulator: Simulator) -> dict[str, float]:
-        self._numbers('constant', simulator.constants, (*EPISODE_CORE, *STEP_INFO))
-        return {name: float(value) for name, value in simulator.constants.items()}
-
-    def outcome(self, outcome: Outcome, frames: int) -> None:
-        """Raise SimulatorError unless an outcome is what `Outcome` says."""
-        pixels = outcome.pixels
-        shape = getattr(pixels, 'shape', None)
-        if shape != self._shape or not isinstance(pixels, np.ndarray):
-            self._first_pixels(pixels)
-        if pixels.dtype != np.uint8:
-            raise self._refuse(f'gives pixels of {pixels.dtype}; expected uint8')
-        if not math.isfinite(outcome.reward):
-            raise self._refuse(f'gives the reward {outcome.reward}')
-        if not 0 <= outcome.frames <= frames or outcome.frames == 0 < frames:
-            raise self._refuse(f'says that {outcome.frames} frames passed; asked for {frames}')
-        info = outcome.info
-        if tuple(info) == self._names and _finite(info.values()):
-            return
-        self._numbers('info', info, (*STEP_CORE, *STEP_INFO))
-        if self._names is not None and set(info) != set(self._names):
-            differing = sorted(set(info) ^ set(self._names))[0]
-            raise self._refuse(f'gives the info {differing!r} now and then; expected: always')
-        self._names = tuple(info)
-
-    def _first_pixels(self, pixels: Any) -> None:
-        if not (isinstance(pixels, np.ndarray) and pixels.ndim == 3 and pixels.shape[2] == 3
-                and min(pixels.shape) > 0 and max(pixels.shape) <= MAX_SIDE):
-            given = pixels.shape if isinstance(pixels, np.ndarray) else type(pixels).__name__
-            raise self._refuse(
-                f'gives pixels of {given}; expected an array (H, W, 3) of up to {MAX_SIDE} a side')
-        if self._shape is not None:
-            raise self._refuse(f'gives pixels of {pixels.shape}; expected {self._shape} as before')
-        self._shape = pixels.shape
-
-    def _numbers(self, what: str, values: Mapping[str, float], taken: tuple[str, ...]) -> None:
-        for name, value in values.items():
-            if name in taken:
-                raise self._refuse(f'has an {what} {name!r}, which means something else')
-            if not _finite([value]):
-                raise self._refuse(f'has {what} {str(name)[:100]!r} {value!r}; expected a number')
-
-
-def _finite(values: Iterable[Any]) -> bool:
-    try:
-        return all(map(math.isfinite, values))
-    except TypeError:
-        return False
-
-
 def open_drive(values: Mapping[str, Any] | None = None) -> Drive:
     """
     Make a simulator and its drive from settings by name, as the node does from parameters.
@@ -288,4 +215,4 @@ def open_drive(values: Mapping[str, Any] | None = None) -> Drive:
     values = dict(values or {})
     name = values.get('simulator', DEFAULT)
     settings = from_mapping(settings_for(name), values)
-    return Drive(find_simulator(name)(settings), settings)
+    return Drive(construct(name, settings), settings)

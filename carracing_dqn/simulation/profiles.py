@@ -13,13 +13,14 @@ from collections.abc import Mapping
 import contextlib
 import dataclasses
 import functools
+import importlib.util
 import math
 import os
 from pathlib import Path
 import re
 from typing import Any
 
-from msgs_bridge.errors import SettingsError
+from msgs_bridge.errors import SettingsError, SimulatorError
 from msgs_bridge.plain_text import plain
 from msgs_bridge.regular_file import read_regular
 from msgs_bridge.settings import check_value, describe, unknown_setting
@@ -42,6 +43,7 @@ class Profile:
         simulator: name of the simulator that it stands on; empty: it runs by itself.
         deterministic: whether the same seed and commands give the same outcomes to the last bit;
             None: as the simulator says.
+        needs: what must be installed, module -> how.
         settings: other defaults for the parameters of the simulator's node; what is no text,
             number or truth value is handed on as YAML.
         vehicle: parameters of policy and trainer: camera, units and limits of the commands.
@@ -55,6 +57,7 @@ class Profile:
     about: str = ''
     simulator: str = ''
     deterministic: bool | None = None
+    needs: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     settings: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     vehicle: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     topics: Mapping[str, Any] = dataclasses.field(default_factory=dict)
@@ -134,7 +137,11 @@ def load_profile(path: Path) -> Profile:
 
 
 def _check_parts(path: Path, content: dict[str, Any]) -> None:
-    """Raise SettingsError for a remap or a property of the camera that cannot be."""
+    """Raise SettingsError for a module, a remap or a property of the camera that cannot be."""
+    for module, install in content.get('needs', {}).items():
+        if not (module.isidentifier() and isinstance(install, str)):
+            raise SettingsError(f'{path}: needs: {plain(module)} cannot be {plain(install)!r}; '
+                                'accepted: the name of a module, and how to install it')
     for name, topic in content.get('topics', {}).items():
         if not (isinstance(topic, str) and TOPIC_NAME.fullmatch(topic)):
             raise SettingsError(
@@ -156,8 +163,12 @@ def as_simulator(profile: Profile, path: Path, base: type[Simulator]) -> type[Si
     Return the class of a simulator with the defaults of a profile.
 
     Raises:
+        SimulatorError: what it needs is not installed.
         SettingsError: a setting that the simulator does not have, or a value not accepted.
     """
+    for module, install in profile.needs.items():
+        if importlib.util.find_spec(module) is None:
+            raise SimulatorError(f'{path.stem}: {module} is not installed: {install}')
     known = describe(base.Settings)
     fields = []
     for name, value in profile.settings.items():

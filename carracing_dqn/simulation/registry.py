@@ -20,6 +20,7 @@ from pathlib import Path
 import sys
 from typing import Any
 
+from carracing_dqn.simulation.checks import blamed
 from carracing_dqn.simulation.profiles import (
     as_simulator, find_profile, load_profile, profile_names,
 )
@@ -102,8 +103,19 @@ def make_simulator(name: str, values: Mapping[str, Any] | None = None) -> Simula
         SimulatorError: there is none, or it cannot run here.
         SettingsError: a setting that is unknown or not accepted.
     """
+    return construct(name, from_mapping(find_simulator(name).Settings, dict(values or {})))
+
+
+def construct(name: str, settings: Any) -> Simulator:
+    """
+    Make the simulator of a name with an instance of its settings class.
+
+    Raises:
+        SimulatorError: there is none, or it cannot be made.
+    """
     kind = find_simulator(name)
-    return kind(from_mapping(kind.Settings, dict(values or {})))
+    with blamed(name, 'it cannot be made'):
+        return kind(settings)
 
 
 def frame_seconds(name: str) -> float:

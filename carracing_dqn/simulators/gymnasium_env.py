@@ -14,7 +14,7 @@ from carracing_dqn.simulators.space_mapping import action_encoder
 import gymnasium
 from msgs_bridge.errors import SimulatorError
 from msgs_bridge.plain_text import plain
-from msgs_bridge.settings import setting
+from msgs_bridge.settings import numbers, setting
 from msgs_bridge.simulator import Outcome, Simulator
 from msgs_bridge.twists import Command
 from msgs_bridge.yaml_text import load_yaml
@@ -71,6 +71,8 @@ class GymnasiumEnv(Simulator):
         """
         self.description = f'gymnasium.make({plain(settings.environment)!r})'
         self._settings = settings
+        # by these a bag can be driven again
+        self.constants = numbers(settings)
         self.env = _make(settings)
         try:
             self._encode = action_encoder(

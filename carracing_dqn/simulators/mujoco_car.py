@@ -9,7 +9,7 @@ import os
 
 from carracing_dqn.simulators import mujoco_world as world
 from carracing_dqn.simulators.mujoco_picture import load_mujoco, Pictures
-from msgs_bridge.settings import setting
+from msgs_bridge.settings import numbers, setting
 from msgs_bridge.simulator import Outcome, Simulator
 from msgs_bridge.twists import Command
 import numpy as np
@@ -67,6 +67,8 @@ class MujocoCar(Simulator):
         self.description = (f'MuJoCo {self._mujoco.__version__}, {settings.camera} camera, '
                             f'MUJOCO_GL={os.environ.get("MUJOCO_GL", "")}')
         self._settings = settings
+        # by these a bag can be driven again
+        self.constants = numbers(settings)
         self._random = np.random.default_rng()
         self._pictures = Pictures(
             self._mujoco, settings.picture_width, settings.picture_height)

@@ -19,7 +19,7 @@ from carracing_dqn.simulators.pyracerz_views import CarRacingView, RawView
 from carracing_sim_node.appearance import PIXELS_PER_UNIT, SteeringColumn
 from msgs_bridge.errors import SimulatorError
 from msgs_bridge.plain_text import plain
-from msgs_bridge.settings import describe, setting
+from msgs_bridge.settings import numbers, setting
 from msgs_bridge.simulator import Outcome, Simulator
 from msgs_bridge.twists import Command
 import numpy as np
@@ -119,9 +119,7 @@ class PyRacerz(Simulator):
         self.frame_seconds = settings.steps_per_frame * STEP_SECONDS
         # by these a bag can be driven again; the texts stand in its provenance
         self.constants = {
-            **{name: float(getattr(settings, name)) for name, (kind, _, _) in describe(
-                PyRacerzSettings).items() if kind is not str},
-            'checkpoints_total': float(self._track.nbCheckpoint)}
+            **numbers(settings), 'checkpoints_total': float(self._track.nbCheckpoint)}
         self.description = (f'pyRacerz, {settings.track} {settings.direction}, '
                             f'level {settings.level}')
 

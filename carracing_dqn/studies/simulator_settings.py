@@ -12,6 +12,9 @@ from carracing_dqn.simulation.profiles import profile_of, seen_from
 
 PRESET = 'pixels'
 """Preset for a simulator whose profile names none."""
+OBSERVATION_SIDE = 42
+"""Least rows and columns of what the network of that preset sees, of larger frames."""
+MAX_SHRINK = 8
 
 
 def preset_for(name: str) -> str:
@@ -19,18 +22,22 @@ def preset_for(name: str) -> str:
     return str(profile_of(name).training.get('preset', PRESET))
 
 
-def settings_from(name: str, folder: Path) -> dict[str, Any]:
+def settings_from(name: str, preset: str, folder: Path) -> dict[str, Any]:
     """
     Return hyperparameters by name: how a simulator looks, and what its profile says.
 
     Args:
         name: of the simulator, as it is said here.
+        preset: of the run; `pixels` shrinks frames of any size to about the same.
         folder: of the run, where its processes are.
 
     Raises:
         SimulatorError, SettingsError: there is no such simulator, or it cannot run here.
     """
-    values = {'simulator': seen_from(name, folder), **_looks(name), **profile_of(name).training}
+    looks = _looks(name)
+    shrink = {'shrink': _shrink(looks['frame_height'], looks['frame_width'])}
+    values = {'simulator': seen_from(name, folder), **looks,
+              **(shrink if preset == PRESET else {}), **profile_of(name).training}
     values.pop('preset', None)
     return values
 
@@ -45,3 +52,9 @@ def _looks(name: str) -> dict[str, Any]:
                 'frame_seconds': simulator.frame_seconds}
     finally:
         simulator.close()
+
+
+def _shrink(height: int, width: int) -> int:
+    """Return by how much frames are shrunk, so that little more than is needed is left."""
+    return max(by for by in range(1, MAX_SHRINK + 1) if height % by == width % by == 0 and (
+        by == 1 or min(height, width) / by >= OBSERVATION_SIDE))

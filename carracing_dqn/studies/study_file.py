@@ -295,7 +295,7 @@ def run_settings_of(study: Study, arm: Arm, seed: int, folder: Path) -> Hyperpar
             raise SettingsError(f'{name} is no hyperparameter to set here; name {name}'
                                 f'{"s" if name == "seed" else ""} of the study or the arm')
     settings = load_preset(preset, {
-        **(settings_from(simulator, folder) if simulator else {}), **own, 'seed': seed})
+        **(settings_from(simulator, preset, folder) if simulator else {}), **own, 'seed': seed})
     if settings.run_decisions:
         return settings.without_clock(settings.run_decisions)
     if not settings.run_episodes or settings.run_minutes or settings.validation_every_minutes:

@@ -1,0 +1,141 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""Whether a simulator, which anybody may have written, gives what it owes; one line if not."""
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+import contextlib
+import math
+from pathlib import Path
+import traceback
+from typing import Any
+
+from msgs_bridge.errors import BridgeError, SimulatorError
+from msgs_bridge.images import MAX_SIDE
+from msgs_bridge.plain_text import plain
+from msgs_bridge.simulator import Outcome, Simulator
+from msgs_bridge.stamps import NANOSECONDS
+from msgs_bridge.step import EPISODE_CORE, STEP_CORE, STEP_INFO
+from msgs_bridge.twists import Command
+import numpy as np
+
+# simulated seconds of a frame
+SHORTEST_FRAME, LONGEST_FRAME = 1e-6, 10.0
+
+
+@contextlib.contextmanager
+def blamed(name: str, what: str) -> Iterator[None]:
+    """
+    Let a simulator do something; what it raises by accident becomes one line with the place.
+
+    Args:
+        name: of the simulator.
+        what: it does.
+
+    Raises:
+        SimulatorError: it raised an exception that is no BridgeError.
+    """
+    try:
+        yield
+    except BridgeError:
+        raise
+    except Exception as error:
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        raise SimulatorError(
+            f'simulator {name[:100]!r}: {what}: {type(error).__name__}: {plain(error)} '
+            f'({Path(place.filename).name}, line {place.lineno})') from error
+
+
+class Checks:
+    """What a simulator does, before it is believed; errors are SimulatorErrors that name it."""
+
+    def __init__(self, name: str) -> None:
+        """Check the simulator of a name; nothing is known of it yet."""
+        self._name = name[:100]
+        self._shape: tuple[int, ...] | None = None
+        self._names: tuple[str, ...] | None = None
+
+    def _refuse(self, what: str) -> SimulatorError:
+        return SimulatorError(f'simulator {self._name!r} {what}')
+
+    def frame_nanoseconds(self, simulator: Simulator) -> int:
+        """Return how long its frames last."""
+        seconds = getattr(simulator, 'frame_seconds', None)
+        if not (isinstance(seconds, (int, float))
+                and SHORTEST_FRAME <= seconds <= LONGEST_FRAME):
+            raise self._refuse(f'has frame_seconds {seconds!r}; accepted: {SHORTEST_FRAME:g} to '
+                               f'{LONGEST_FRAME:g}')
+        return round(seconds * NANOSECONDS)
+
+    def constants(self, simulator: Simulator) -> dict[str, float]:
+        """Return its constants."""
+        self._numbers('constant', simulator.constants, (*EPISODE_CORE, *STEP_INFO))
+        return {name: float(value) for name, value in simulator.constants.items()}
+
+    def reset(self, simulator: Simulator, seed: int | None) -> Outcome:
+        """Reset it and return what came of it."""
+        with blamed(self._name, 'reset'):
+            outcome = simulator.reset(seed)
+        self._outcome(outcome, 0)
+        return outcome
+
+    def advance(
+        self, simulator: Simulator, command: Command, frames: int = 1, *, draw: bool = True,
+    ) -> Outcome:
+        """Drive it and return what came of it; `draw` as `Simulator.draws_on_request` says."""
+        with blamed(self._name, 'advance'):
+            outcome = (simulator.advance(command, frames) if draw
+                       else simulator.advance(command, frames, draw=False))
+        self._outcome(outcome, frames, draw=draw)
+        return outcome
+
+    def _outcome(self, outcome: Outcome, frames: int, *, draw: bool = True) -> None:
+        """Raise SimulatorError unless an outcome is what `Outcome` says."""
+        if not isinstance(outcome, Outcome):
+            raise self._refuse(f'gives a {type(outcome).__name__}; expected an Outcome')
+        if draw:
+            self._pixels(outcome.pixels)
+        if not _finite([outcome.reward]):
+            raise self._refuse(f'gives the reward {plain(outcome.reward)}')
+        passed = outcome.frames
+        if not isinstance(passed, int) or not 0 <= passed <= frames or passed == 0 < frames:
+            raise self._refuse(f'says that {plain(passed)} frames passed; asked for {frames}')
+        info = outcome.info
+        if tuple(info) == self._names and _finite(info.values()):
+            return
+        self._numbers('info', info, (*STEP_CORE, *STEP_INFO))
+        if self._names is not None and set(info) != set(self._names):
+            differing = sorted(set(info) ^ set(self._names))[0]
+            raise self._refuse(f'gives the info {differing!r} now and then; expected: always')
+        self._names = tuple(info)
+
+    def _pixels(self, pixels: Any) -> None:
+        shape = getattr(pixels, 'shape', None)
+        if shape != self._shape or not isinstance(pixels, np.ndarray):
+            self._first_pixels(pixels)
+        if pixels.dtype != np.uint8:
+            raise self._refuse(f'gives pixels of {pixels.dtype}; expected uint8')
+
+    def _first_pixels(self, pixels: Any) -> None:
+        if not (isinstance(pixels, np.ndarray) and pixels.ndim == 3 and pixels.shape[2] == 3
+                and min(pixels.shape) > 0 and max(pixels.shape) <= MAX_SIDE):
+            given = pixels.shape if isinstance(pixels, np.ndarray) else type(pixels).__name__
+            raise self._refuse(
+                f'gives pixels of {given}; expected an array (H, W, 3) of up to {MAX_SIDE} a side')
+        if self._shape is not None:
+            raise self._refuse(f'gives pixels of {pixels.shape}; expected {self._shape} as before')
+        self._shape = pixels.shape
+
+    def _numbers(self, what: str, values: Mapping[str, float], taken: tuple[str, ...]) -> None:
+        for name, value in values.items():
+            if name in taken:
+                raise self._refuse(f'has an {what} {name!r}, which means something else')
+            if not _finite([value]):
+                raise self._refuse(f'has {what} {str(name)[:100]!r} {value!r}; expected a number')
+
+
+def _finite(values: Iterable[Any]) -> bool:
+    try:
+        return all(map(math.isfinite, values))
+    except TypeError:
+        return False
