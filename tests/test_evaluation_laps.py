@@ -4,6 +4,7 @@
 import os
 import sys
 
+from carracing_dqn.evaluation import laps as laps_module
 from carracing_dqn.evaluation.errors import EvaluationError, PolicyError
 from carracing_dqn.evaluation.lap_series import drive_laps
 from carracing_dqn.evaluation.laps import drive_lap
@@ -21,6 +22,7 @@ from msgs_bridge.step import VALIDATION_FIELDS
 from msgs_bridge.twists import Command
 import numpy as np
 import pytest
+import toy_simulator
 
 FRAMES = 60
 
@@ -116,6 +118,24 @@ def test_an_episode_without_laps_counts_by_return_and_length():
     assert values['completed'] == 0 and values['mean'] == pytest.approx(numbers.mean)
     with pytest.raises(EvaluationError, match='has no track'):
         drive_trajectory(toy, Steady((0.0, 1.0)), 1)
+
+
+class Endless(toy_simulator.Toy):
+    def ends(self):
+        return False, False
+
+
+class Crooked(toy_simulator.Toy):
+    def pixels(self):
+        return super().pixels()[:, :, 0]
+
+
+def test_an_episode_without_an_end_and_frames_that_are_none_are_named(monkeypatch):
+    monkeypatch.setattr(laps_module, 'MAX_FRAMES', 500)
+    with pytest.raises(EvaluationError, match='seed 3: no end after 500 frames'):
+        drive_lap(Endless(None), Steady((0.0, 1.0)), 3)
+    with pytest.raises(SimulatorError, match=r"'Crooked' gives pixels of \(32, 48\)"):
+        drive_lap(Crooked(None), Steady((0.0, 1.0)), 3)
 
 
 def test_processes_do_not_change_the_laps():

@@ -237,6 +237,7 @@ def test_shipped_profiles_are_driven_and_keep_what_they_promise(name):
     ('simulator: gymnasium_env\nsettings: {envirnment: x}', "did you mean 'environment'"),
     ('simulator: gymnasium_env\nsettings: {vectorized: 3}', 'vectorized must be true or false'),
     ('simulator: nowhere', "simulator is 'nowhere'"),
+    ('simulator: gymnasium_env\nneeds: {os.path: x}', 'needs: os.path cannot be'),
     ('simulator: pendulum', 'a profile itself'),
     ('about: a robot', 'it names no simulator'),
     ('a: &a [1]\nb: *a', 'aliases are not accepted'),
@@ -247,6 +248,13 @@ def test_a_profile_that_is_none_is_one_line(tmp_path, text, told):
     with pytest.raises((SettingsError, SimulatorError), match=told) as error:
         find_simulator(str(path))
     assert '\n' not in str(error.value)
+
+
+def test_what_a_profile_needs_is_said_with_how_to_install_it(tmp_path):
+    path = tmp_path / 'car.yaml'
+    path.write_text('simulator: gymnasium_env\nneeds: {no_such_module: pip install it}\n')
+    with pytest.raises(SimulatorError, match='car: no_such_module is not installed: pip install'):
+        make_simulator(str(path))
 
 
 def test_a_profile_that_is_no_file_is_one_line(tmp_path):

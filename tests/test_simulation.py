@@ -246,7 +246,12 @@ class Odd(Simulator):
     ([Outcome(np.zeros((2, 5000, 3), np.uint8))], '5000'),
     ([Outcome(PIXELS), Outcome(PIXELS[1:], frames=1)], 'as before'),
     ([Outcome(PIXELS), Outcome(PIXELS, float('nan'), frames=1)], 'the reward nan'),
+    ([Outcome(PIXELS), Outcome(PIXELS, 'much', frames=1)], 'the reward much'),
+    ([None], 'a NoneType; expected an Outcome'),
     ([Outcome(PIXELS), Outcome(PIXELS)], '0 frames passed'),
+    ([Outcome(PIXELS), Outcome(PIXELS, frames='one')], 'one frames passed'),
+    ([], r'failed in reset: IndexError: .* \(test_simulation.py, line'),
+    ([Outcome(PIXELS)], r'failed in advance: IndexError: .* \(test_simulation.py, line'),
     ([Outcome(PIXELS), Outcome(PIXELS, frames=3)], '3 frames passed; asked for 2'),
     ([Outcome(PIXELS, info={'speed': float('inf')})], "info 'speed' inf"),
     ([Outcome(PIXELS, info={'gear': 'first'})], "info 'gear' 'first'"),
@@ -255,7 +260,7 @@ class Odd(Simulator):
 def test_what_a_simulator_does_not_owe_is_named(outcomes, told):
     drive = Drive(Odd(outcomes), SimulationSettings(simulator='odd', action_repeat=2))
     with pytest.raises(SimulatorError, match=told) as caught:
-        for number in range(len(outcomes)):
+        for number in range(len(outcomes) + 1):
             drive.advance(STOP, None) if number else drive.begin()
     assert str(caught.value).startswith("simulator 'odd' ")
 
@@ -268,6 +273,18 @@ def test_what_is_wrong_from_the_start_is_said_at_the_start(name, value, told):
     setattr(simulator, name, value)
     with pytest.raises(SimulatorError, match=told):
         Drive(simulator, SimulationSettings())
+
+
+class Unmakeable(toy_simulator.Toy):
+    def __init__(self, settings):
+        raise KeyError('road')
+
+
+def test_a_simulator_that_cannot_be_made_is_one_line_with_the_place():
+    with pytest.raises(SimulatorError, match=r"failed in __init__: KeyError: 'road' \(test_sim"):
+        open_drive({'simulator': f'{__name__}:Unmakeable'})
+    with pytest.raises(SimulatorError, match='failed in __init__'):
+        make_simulator(f'{__name__}:Unmakeable')
 
 
 # When it goes on. --------------------------------------------------------------------------------

@@ -30,7 +30,7 @@ def blamed(name: str, what: str) -> Iterator[None]:
 
     Args:
         name: of the simulator.
-        what: it does.
+        what: it does: the name of a method.
 
     Raises:
         SimulatorError: it raised an exception that is no BridgeError.
@@ -42,7 +42,7 @@ def blamed(name: str, what: str) -> Iterator[None]:
     except Exception as error:
         place = traceback.extract_tb(error.__traceback__)[-1]
         raise SimulatorError(
-            f'simulator {name[:100]!r}: {what}: {type(error).__name__}: {plain(error)} '
+            f'simulator {name[:100]!r} failed in {what}: {type(error).__name__}: {plain(error)} '
             f'({Path(place.filename).name}, line {place.lineno})') from error
 
 

@@ -114,7 +114,7 @@ def construct(name: str, settings: Any) -> Simulator:
         SimulatorError: there is none, or it cannot be made.
     """
     kind = find_simulator(name)
-    with blamed(name, 'it cannot be made'):
+    with blamed(name, '__init__'):
         return kind(settings)
 
 
