@@ -176,15 +176,15 @@ def test_nodes_that_fall_silent_go_or_have_no_room():
     now = drive(state, extra=hear)
     state.see_graph((*NODES, RECORDER, TRAINER), GRAPH, now)
     assert kinds(state, now) == []
-    now = drive(state, frames=30, begin=30)
+    now = drive(state, frames=60, begin=30)
     state.see_graph((*NODES, TRAINER), GRAPH, now)
     found = {cause['where']: cause for cause in state.snapshot(now)['causes']}
     assert {where: cause['kind'] for where, cause in found.items()} == {
         RECORDER: 'node gone', TRAINER: 'node silent'}
     assert 'recording' in found[RECORDER]['text']
     text = 'recording ended: No space left on device'
-    now = drive(state, begin=60, extra=[health(RECORDER, text, 2)])
-    now = drive(state, begin=90)
+    now = drive(state, begin=90, extra=[health(RECORDER, text, 2)])
+    now = drive(state, begin=120)
     assert kinds(state, now)[0] == 'full disk'
 
 
