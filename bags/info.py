@@ -146,7 +146,7 @@ def _end(episode: Episode) -> str:
     if episode.lap_finished:
         return 'lap finished'
     if episode.terminated:
-        return 'left the field'
+        return 'terminated'
     if episode.truncated:
         return 'cut off'
     return 'goes on after the bag'

@@ -17,11 +17,12 @@ from trainer_node.run_folder import RunFolder
 import yaml
 
 @pytest.fixture
-def graph(tmp_path):
+def graph(tmp_path, request):
     with Graph(tmp_path, 'stranger') as graph:
         graph.listen(topics.DIAGNOSTICS)
         preset = tmp_path / 'tiny.yaml'
-        preset.write_text(yaml.safe_dump({**TINY, 'validation_every_episodes': 0}))
+        preset.write_text(yaml.safe_dump({
+            **TINY, 'validation_every_episodes': 0, **getattr(request, 'param', {})}))
         graph.run = tmp_path / 'run'
         graph.node('trainer_node', 'trainer', run=str(graph.run), preset=str(preset),
                    simulator='nobody', **SCALE)
@@ -73,6 +74,25 @@ def test_a_trainer_names_what_is_missing_and_learns_from_any_simulator(graph):
     assert graph.children['trainer'].process.returncode == 0
     state = read_checkpoint(RunFolder(graph.run).checkpoint)[1]['learning']
     assert state['decisions'] >= before + 40 and state['updates'] > 0
+
+
+@pytest.mark.parametrize('graph', [{'samples_per_transition': 1000.0}], indirect=True)
+def test_a_trainer_that_is_stopped_saves_and_does_not_learn_what_waits(graph):
+    stranger = Stranger(graph)
+    stranger.image, stranger.step, stranger.twist = map(
+        graph.publisher, (topics.IMAGE, topics.STEP, topics.CMD_VEL))
+    stranger.drive_until(lambda: learned(graph) > 20, 60, 'learning',
+                         command=DUMMY_SPACE.commands[1])
+    # each of them is 125 updates, and nobody is held back
+    for _ in range(400):
+        stranger.frame(command=DUMMY_SPACE.commands[1])
+        graph.spin(0.001)
+    trainer = graph.children['trainer'].process
+    trainer.terminate()
+    wait_for(lambda: trainer.poll() is not None, 15, 'the end')
+    assert trainer.returncode == 0
+    state = read_checkpoint(RunFolder(graph.run).checkpoint)[1]['learning']
+    assert 20 < state['decisions'] < stranger.number - 200
 
 
 def _odd_messages(graph, stranger):

@@ -1,6 +1,10 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
 """Sources: which are meant, taken from by turns, bounded, refused and counted."""
+import itertools
+import sys
+import threading
+
 from learning_cases import COMMANDS, make_step
 from msgs_bridge.errors import SettingsError
 from msgs_bridge.seeds import (
@@ -9,7 +13,7 @@ from msgs_bridge.seeds import (
 import numpy as np
 import pytest
 from trainer_node.hyperparameters import Hyperparameters
-from trainer_node.source import LOSSES, MAX_WAITING_BYTES, OVERRUN, SHARE
+from trainer_node.source import LOSSES, MAX_WAITING_BYTES, OVERRUN, SHARE, Source
 from trainer_node.sources import SourceNames, Sources
 
 FRAME = np.zeros((96, 96, 3), np.uint8)
@@ -113,3 +117,29 @@ def test_epsilon_is_spread_as_in_ape_x():
     assert epsilon_exponent(0, 1, 7.0) == 1.0
     assert epsilon_exponent(9, 4, 7.0) == 8.0
     assert epsilon_exponent(3, 4, 0.0) == 1.0
+
+
+def test_figures_are_read_while_the_learning_thread_counts():
+    source, stop = Source(64), threading.Event()
+
+    def count():
+        for number in itertools.cycle(range(5000)):
+            source.joiner.counts[f'reason_{number}'] += 1
+            if number == 0:
+                source.joiner.counts.clear()
+            if stop.is_set():
+                return
+
+    interval = sys.getswitchinterval()
+    # so that the other thread has a turn within every loop
+    sys.setswitchinterval(1e-6)
+    counting = threading.Thread(target=count)
+    counting.start()
+    try:
+        for _ in range(200):
+            assert source.figures().keys() >= {'waiting'}
+            assert source.lost >= 0 and isinstance(source.losses(), str)
+    finally:
+        stop.set()
+        counting.join()
+        sys.setswitchinterval(interval)

@@ -32,6 +32,8 @@ DIRECTIONS = ('normal', 'reverse')
 DRIVERS: dict[str, tuple[str, dict[str, Any]]] = {
     'model': ('pyracerz_carracing', {}),
     'raw': ('pyracerz_raw', {'scale': 5.466, 'stretch': 0.8}),
+    # a model that learned in this profile
+    'trained': ('pyracerz_raw', {}),
     'random': ('pyracerz_carracing', {}),
     'robot': ('pyracerz_carracing', {'driver': 'robot'}),
 }
@@ -63,8 +65,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument('--seed', type=int, default=FIRST_SEED,
                         help=f'seed of the first start (default {FIRST_SEED})')
     parser.add_argument('--tracks', nargs='+', choices=TRACKS, default=TRACKS, metavar='TRACK')
-    parser.add_argument('--drivers', nargs='+', choices=DRIVERS, default=tuple(DRIVERS),
-                        metavar='DRIVER', help=f'of {", ".join(DRIVERS)}')
+    parser.add_argument('--drivers', nargs='+', choices=DRIVERS, metavar='DRIVER',
+                        default=('model', 'raw', 'random', 'robot'),
+                        help=f'of {", ".join(DRIVERS)}; trained: a --model that learned in '
+                             'pyracerz_raw')
     parser.add_argument('--json', metavar='FILE', help='write every start there too')
     parser.add_argument('--film', metavar='FILE', help='write the first lap of the model on the '
                         'first track as moving pictures (.webp) instead, raw and as it saw them')
