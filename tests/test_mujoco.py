@@ -156,6 +156,18 @@ def test_the_rules_end_an_episode_and_a_robot_has_none():
     robot.close()
 
 
+def test_the_variant_for_training_ends_an_episode_that_earns_nothing():
+    simulator = make_simulator('mujoco_car', {'early_end_frames': 20})
+    simulator.reset(3)
+    outcome = simulator.advance(Command(0.0, 0.0), 100)
+    assert (outcome.frames, outcome.truncated, outcome.terminated) == (20, True, False)
+    assert outcome.info['ended_early'] == 1
+    simulator.reset(3)
+    outcome = simulator.advance(Command(0.6, 0.0), 30)
+    assert outcome.frames == 30 and outcome.info['ended_early'] == 0 and outcome.reward > 0
+    simulator.close()
+
+
 @pytest.mark.parametrize(('values', 'told'), [
     ({'camera': 'side'}, 'camera'), ({'picture_width': 4}, 'picture_width'),
     ({'max_episode_frames': 0}, 'max_episode_frames'), ({'zoom': True}, "unknown setting 'zoom'")])

@@ -274,7 +274,7 @@ class Hyperparameters:
             'seed': training_seed(self.seed, car or 0) if of_episode else self.seed,
             'seed_each_episode': of_episode,
             'simulator': self.simulator,
-            # of CarRacing; other simulators do not know them
+            # other simulators may not know them
             **{name: value for name in ('early_end_frames', 'early_end_lap')
                if (value := getattr(self, name))}}
 

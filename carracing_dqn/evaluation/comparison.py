@@ -78,14 +78,14 @@ def measure(figure: Figure, run: Run) -> Measured:
 
 
 def compare(run: Run) -> list[tuple[Figure, Measured]]:
-    """Return every figure of the document beside that of a run."""
-    return [(figure, measure(figure, run)) for figure in FIGURES]
+    """Return every figure of the document beside that of a run in CarRacing."""
+    return [(figure, measure(figure, run)) for figure in FIGURES if run.in_carracing]
 
 
 def judge(run: Run) -> list[Verdict]:
-    """Return the four objectives of section 1.2, judged."""
+    """Return the four objectives of section 1.2, judged; none of a run in another simulator."""
     verdicts = []
-    for objective in OBJECTIVES:
+    for objective in OBJECTIVES if run.in_carracing else ():
         try:
             passed, text = _JUDGES[objective.key](run)
         except _NotMeasured as reason:

@@ -25,7 +25,10 @@ import numpy as np
 
 Size = tuple[float, float]
 BIN = 25.0
-"""Points in a bar of the distribution."""
+"""Points in a bar of the distribution, in CarRacing."""
+BINS = 40
+"""Bars of it elsewhere."""
+STATED_MEANS = (('test_mean', 'trained'), ('dummy_mean', 'dummy'))
 
 LAP_WINDOW = 10
 ROOM_FOR_TEXT = 110.0
@@ -75,11 +78,12 @@ def _training_rewards(runs: Sequence[Run], size: Size) -> Figure:
         axes.plot(numbers, rewards, '.', markersize=3, color=colour, alpha=0.3, rasterized=True)
         axes.plot(numbers, moving_average(rewards, window), color=colour, linestyle=dash,
                   label=f'{run.name}, mean of {window}')
-    axes.plot(
-        [0, STATED['train_average_zero'], STATED['train_average_800'], STATED['episodes']],
-        [STATED['train_first'], 0, 800, STATED['train_average_last']], linestyle='none',
-        marker='D', markersize=5, markerfacecolor='white', color=style.SEED_COLOUR,
-        label=f'{SHORT_NAME}, stated points of its mean')
+    if runs[0].in_carracing:
+        axes.plot(
+            [0, STATED['train_average_zero'], STATED['train_average_800'], STATED['episodes']],
+            [STATED['train_first'], 0, 800, STATED['train_average_last']], linestyle='none',
+            marker='D', markersize=5, markerfacecolor='white', color=style.SEED_COLOUR,
+            label=f'{SHORT_NAME}, stated points of its mean')
     _legend_below(figure, axes)
     return figure
 
@@ -101,11 +105,13 @@ def _validation_rewards(runs: Sequence[Run], size: Size) -> Figure:
                               linewidth=0)
         axes.plot(episodes, means, 'o', markersize=4, linestyle=dash, color=colour,
                   label=run.name)
-    axes.plot(
-        [0, 700, STATED['validation_maximum_episode'], STATED['episodes']],
-        [STATED['validation_first'], STATED['validation_700'], STATED['validation_maximum'],
-         STATED['validation_last']], linestyle='none', marker='D', markersize=5,
-        markerfacecolor='white', color=style.SEED_COLOUR, label=f'{SHORT_NAME}, stated points')
+    if runs[0].in_carracing:
+        axes.plot(
+            [0, 700, STATED['validation_maximum_episode'], STATED['episodes']],
+            [STATED['validation_first'], STATED['validation_700'], STATED['validation_maximum'],
+             STATED['validation_last']], linestyle='none', marker='D', markersize=5,
+            markerfacecolor='white', color=style.SEED_COLOUR,
+            label=f'{SHORT_NAME}, stated points')
     _legend_below(figure, axes)
     return figure
 
@@ -158,9 +164,10 @@ def _wall_time(runs: Sequence[Run], size: Size) -> Figure:
             seconds, means = run.validation.known('wall_seconds', 'mean')
             axes.plot(seconds / 60, means, 'o', markersize=4.5, linestyle='-', color=colour,
                       label=f'{run.name}, validation')
-    axes.axhline(
-        STATED['test_mean'], color=style.SEED_COLOUR, linewidth=1, linestyle=(0, (4, 3)),
-        label=f'{SHORT_NAME}: {STATED["test_mean"]:g} after {STATED["hours"]:g} h on a GPU')
+    if runs[0].in_carracing:
+        axes.axhline(
+            STATED['test_mean'], color=style.SEED_COLOUR, linewidth=1, linestyle=(0, (4, 3)),
+            label=f'{SHORT_NAME}: {STATED["test_mean"]:g} after {STATED["hours"]:g} h on a GPU')
     _legend_below(figure, axes)
     return figure
 
@@ -175,9 +182,10 @@ def _dummy_against_trained(runs: Sequence[Run], size: Size) -> Figure:
         axes.plot(numbers, returns, '.', markersize=4, color=colour, alpha=0.4)
         axes.plot(numbers, moving_average(returns, LAP_WINDOW), color=colour, linestyle=dash,
                   label=f'{name}, mean of {LAP_WINDOW}')
-    style.horizontal_mark(axes, STATED['test_mean'], f'{SHORT_NAME}, trained')
-    style.horizontal_mark(axes, STATED['dummy_mean'], f'{SHORT_NAME}, dummy')
-    axes.set_ylim(bottom=min(axes.get_ylim()[0], STATED['dummy_mean'] - ROOM_FOR_TEXT))
+    if runs[0].in_carracing:
+        style.horizontal_mark(axes, STATED['test_mean'], f'{SHORT_NAME}, trained')
+        style.horizontal_mark(axes, STATED['dummy_mean'], f'{SHORT_NAME}, dummy')
+        axes.set_ylim(bottom=min(axes.get_ylim()[0], STATED['dummy_mean'] - ROOM_FOR_TEXT))
     _legend_below(figure, axes)
     return figure
 
@@ -186,9 +194,11 @@ def _distribution(runs: Sequence[Run], size: Size) -> Figure:
     figure, axes = _one(size, 'return, points', 'share of the laps')
     agents = _agents(runs)
     everything = [lap.episode_return for _, results, _, _ in agents for lap in results.ordered]
-    low = np.floor(min(everything) / BIN) * BIN
-    high = np.ceil(max(everything) / BIN) * BIN + BIN
-    bins = np.arange(low, high + BIN / 2, BIN)
+    # as wide as suits CarRacing's thousand points
+    width = BIN if runs[0].in_carracing else max(np.ptp(everything) / BINS, 1e-6)
+    low = np.floor(min(everything) / width) * width
+    high = np.ceil(max(everything) / width) * width + width
+    bins = np.arange(low, high + width / 2, width)
     for name, results, colour, dash in agents:
         returns = np.array([lap.episode_return for lap in results.ordered])
         weights = np.full(len(returns), 1 / len(returns))
@@ -197,7 +207,7 @@ def _distribution(runs: Sequence[Run], size: Size) -> Figure:
                   linewidth=1.4)
     axes.yaxis.set_major_formatter(PercentFormatter(1, decimals=0))
     axes.set_ylim(top=1.25 * axes.get_ylim()[1])
-    for key, who in (('test_mean', 'trained'), ('dummy_mean', 'dummy')):
+    for key, who in STATED_MEANS if runs[0].in_carracing else ():
         axes.axvline(STATED[key], color=style.SEED_COLOUR, linewidth=1, linestyle=(0, (4, 3)))
         axes.annotate(f'{SHORT_NAME},\n{who}: {STATED[key]:g}', (STATED[key], 0.98),
                       xycoords=('data', 'axes fraction'), xytext=(4 if who == 'dummy' else -4, 0),
@@ -210,10 +220,12 @@ def _distribution(runs: Sequence[Run], size: Size) -> Figure:
 def _completion(runs: Sequence[Run], size: Size) -> Figure:
     agents = _agents(runs)
     figure, axes = _one(size, 'laps with all tiles visited, of all laps', '')
-    names = [f'{SHORT_NAME}, dummy', f'{SHORT_NAME}, trained']
-    shares = [STATED['dummy_completed'] / 100, STATED['test_completed'] / 100]
-    colours = [style.PALE, style.SEED_COLOUR]
-    errors = [(0.0, 0.0), (0.0, 0.0)]
+    names, shares, colours, errors = [], [], [], []
+    if runs[0].in_carracing:
+        names += [f'{SHORT_NAME}, dummy', f'{SHORT_NAME}, trained']
+        shares += [STATED['dummy_completed'] / 100, STATED['test_completed'] / 100]
+        colours += [style.PALE, style.SEED_COLOUR]
+        errors += [(0.0, 0.0), (0.0, 0.0)]
     for name, results, colour, _ in agents:
         laps = [lap.lap_finished for lap in results.ordered]
         if None in laps:
@@ -225,6 +237,7 @@ def _completion(runs: Sequence[Run], size: Size) -> Figure:
         shares.append(share)
         colours.append(colour)
         errors.append((max(0.0, share - low), max(0.0, high - share)))
+    _need(names, 'its simulator says nothing of laps')
     places = np.arange(len(names))[::-1]
     axes.barh(places, shares, color=colours, height=0.62)
     axes.errorbar(shares, places, xerr=np.array(errors).T, fmt='none', ecolor=style.INK,
@@ -242,6 +255,7 @@ def _completion(runs: Sequence[Run], size: Size) -> Figure:
 
 def _success(runs: Sequence[Run], size: Size) -> Figure:
     agents = _agents(runs)
+    _need(runs[0].in_carracing, "these thresholds are CarRacing's")
     figure, axes = _one(size, 'return of at least', 'share of the laps')
     width = 0.8 / len(agents)
     for place, (name, results, colour, _) in enumerate(agents):
@@ -280,7 +294,7 @@ def _agents(runs: Sequence[Run]) -> list[tuple[str, Results, str, object]]:
 
 # Helpers. --------------------------------------------------------------------------------------
 
-def _need(found: Sequence[object], reason: str) -> None:
+def _need(found: object, reason: str) -> None:
     if not found:
         raise NothingToShow(reason)
 

@@ -11,6 +11,8 @@ from typing import Any
 from carracing_dqn.evaluation.errors import RecordsError, ResultsError
 from carracing_dqn.evaluation.results import read_json, Results
 from carracing_dqn.evaluation.tables import read_table, Table
+from carracing_dqn.simulation.profiles import found_from
+from carracing_dqn.simulation.registry import DEFAULT
 from dqn_policy_node.shipped_models import RANDOM
 import yaml
 
@@ -23,6 +25,7 @@ UPDATE_COLUMNS = (
 # below a model folder, the record of its training
 RECORD_FOLDERS = ('', 'training', 'record')
 MODEL_FOLDERS = ('best', 'final', '')
+CARRACING = ('carracing', 'fast', 'gymnasium')
 MAX_TEXT_BYTES = 4 * 2**20
 
 
@@ -54,6 +57,17 @@ class Run:
     dummy: Results | None = None
     model: Path | None = None
     problems: list[str] = dataclasses.field(default_factory=list)
+
+    @property
+    def simulator(self) -> str:
+        """Return the simulator that it learned in, as it is named here."""
+        name = self.config.get('simulator', DEFAULT)
+        return found_from(name, self.path) if isinstance(name, str) else DEFAULT
+
+    @property
+    def in_carracing(self) -> bool:
+        """Return whether it learned in CarRacing, so that it stands beside the document."""
+        return self.simulator in CARRACING
 
     @property
     def wall_seconds(self) -> float | None:

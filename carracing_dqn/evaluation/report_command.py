@@ -32,6 +32,8 @@ from rich.console import Console
 
 SEED = 'seed'
 DUMMY_LAPS = 100
+# in simulators that may be slow
+FEWER_LAPS = 20
 DUMMY_SEED = 100_000
 
 
@@ -79,6 +81,11 @@ def main(arguments: argparse.Namespace) -> int:
             run.problems.append(
                 'There are no test laps; carracing evaluate --model RUN --json '
                 'RUN/evaluation.json drives them.')
+    for run in runs[1:]:
+        if run.simulator != runs[0].simulator and not (
+                run.in_carracing and runs[0].in_carracing):
+            raise EvaluationError(f'{run.name} learned in {run.simulator}, {runs[0].name} in '
+                                  f'{runs[0].simulator}: they cannot be laid over each other')
     _distinct_names(runs)
     output = arguments.output or _find(arguments.run) / 'report'
     _make_folder(output / 'figures')
@@ -119,11 +126,13 @@ def _need_dummy(runs: list[Run], output: Path, console: Console) -> None:
     if dummy is None and (output / 'dummy.json').is_file():
         dummy = read_json(output / 'dummy.json')
     if dummy is None:
-        say(console, f'no laps of the dummy agent: driving {DUMMY_LAPS} now')
+        simulator = 'fast' if runs[0].in_carracing else runs[0].simulator
+        laps = DUMMY_LAPS if runs[0].in_carracing else FEWER_LAPS
+        say(console, f'no laps of the dummy agent: driving {laps} now')
         source = PolicySource(RANDOM)
-        dummy = Results(source.identity(), 'fast', wanted=DUMMY_LAPS, machine=describe_machine())
-        seeds = range(DUMMY_SEED, DUMMY_SEED + DUMMY_LAPS)
-        dummy.laps = {lap.seed: lap for lap in drive_laps(source, seeds, simulator='fast')}
+        dummy = Results(source.identity(), simulator, wanted=laps, machine=describe_machine())
+        seeds = range(DUMMY_SEED, DUMMY_SEED + laps)
+        dummy.laps = {lap.seed: lap for lap in drive_laps(source, seeds, simulator=simulator)}
         dummy.seconds = sum(lap.seconds for lap in dummy.laps.values())
         try:
             write_json(output / 'dummy.json', dummy)
@@ -137,7 +146,8 @@ def _trajectories(
     run: Run, count: int, console: Console,
 ) -> Iterator[tuple[str, Trajectory]]:
     """Drive laps of a run's model once more; yield heading and lap; a bad model is a problem."""
-    if not count or run.model is None:
+    # other simulators have no track that could be drawn
+    if not count or run.model is None or not run.in_carracing:
         return
     try:
         simulator = make_simulator('fast')

@@ -97,8 +97,8 @@ def headlines(run: Run) -> list[tuple[str, str, str]]:
     """Return number, label and the document's number, for the top of the page."""
     stated = {figure.key: figure for figure in seed_document.FIGURES}
     measured = {figure.key: value for figure, value in compare(run)}
-    rows = []
-    for key, label in (
+    rows: list[tuple[str, str, str]] = []
+    for key, label in () if not run.in_carracing else (
         ('test_mean', 'mean return'), ('test_completed', 'laps finished'),
         ('test_900', 'laps of 900 or more'), ('hours', 'training time'),
     ):

@@ -40,6 +40,9 @@ class MujocoCarSettings:
     picture_height: int = setting(96, 'rows of a frame', low=8, high=1024)
     max_episode_frames: int = setting(
         1000, 'frames of 50 ms after which an episode is truncated', low=1, high=10**6)
+    early_end_frames: int = setting(
+        0, 'variant, for training: truncate after this many frames without a new tile; 0 = never',
+        low=0, high=10**6)
     frame_id: str = setting('camera', 'frame_id of the images')
 
 
@@ -94,7 +97,7 @@ class MujocoCar(Simulator):
             self._random = np.random.default_rng(seed)
         self._build(world.make_track(self._random))
         self._visited = np.zeros(len(self.track), bool)
-        self._position = self._frame = 0
+        self._position = self._frame = self._waited = 0
         self._contact = False
         # onto the ground
         for _ in range(FRAME_STEPS):
@@ -117,12 +120,13 @@ class MujocoCar(Simulator):
             passed += 1
             self._frame += 1
             earned = self._visit()
+            self._waited = 0 if earned else self._waited + 1
             if self.rules:
                 failed = self._left_field or self._tipped
                 reward += earned - FRAME_PENALTY - failed * FIELD_PENALTY
                 terminated = failed or self._lap_finished
-                truncated = (not terminated
-                             and self._frame >= self._settings.max_episode_frames)
+                truncated = not terminated and (
+                    self._ended_early or self._frame >= self._settings.max_episode_frames)
         return Outcome(self._pixels(), reward, terminated, truncated, self._info(), passed)
 
     def skip(self, episodes: int, seed: int | None) -> None:
@@ -192,6 +196,10 @@ class MujocoCar(Simulator):
         count = len(self.track)
         return self._position >= count and self._visited.sum() >= LAP_SHARE * count
 
+    @property
+    def _ended_early(self) -> bool:
+        return 0 < self._settings.early_end_frames <= self._waited
+
     def _touches_wall(self) -> bool:
         first, last = self._walls
         geoms = self._data.contact.geom
@@ -216,6 +224,8 @@ class MujocoCar(Simulator):
             'progress': float(self._visited.mean()), 'lap_position': float(self._position),
             'tiles_visited': float(self._visited.sum()), 'tiles_total': float(len(self.track)),
             'lap_finished': float(self._lap_finished), 'left_field': float(self._left_field),
+            # the variant early_end_frames ended it
+            'ended_early': float(self._ended_early),
             # touched a wall since the frame before
             'contact': float(self._contact)}
 
