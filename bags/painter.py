@@ -94,23 +94,26 @@ class FramePainter:
     def _q_values(
         self, draw: ImageDraw.ImageDraw, q_values: dict[str, float], left: int, top: int,
     ) -> None:
-        actions = [(name, value) for name, value in q_values.items()
-                   if name not in Q_VALUE_EXTRAS][:MAX_BARS]
+        names = [name for name in q_values if name not in Q_VALUE_EXTRAS]
+        actions = [(number, name, q_values[name]) for number, name in enumerate(names)]
         if not actions:
             return
-        chosen = int(q_values.get('chosen', -1))
+        chosen = {int(q_values.get(name, -1)) for name in ('chosen', 'chosen_second')}
         width = PANEL_WIDTH - 170 - 2 * MARGIN
-        lowest = min(value for _, value in actions)
-        spread = max(value for _, value in actions) - lowest or 1.0
-        for number, (name, value) in enumerate(actions):
+        # of more than there is room for, what was chosen and the highest
+        actions = sorted(sorted(
+            actions, key=lambda row: (row[0] not in chosen, -row[2]))[:MAX_BARS])
+        lowest = min(value for _, _, value in actions)
+        spread = max(value for _, _, value in actions) - lowest or 1.0
+        for number, name, value in actions:
             if top + LINE > self.height:
                 return
-            colour = TEXT if number == chosen else DIM
+            colour = TEXT if number in chosen else DIM
             draw.text((left, top), name[:13], colour, self._font)
             draw.text((left + 105, top), f'{value:7.2f}', colour, self._font)
             # the bars show the differences, which are small beside the values
             _bar(draw, left + 170, top, 2 + round((value - lowest) / spread * (width - 2)),
-                 GREEN if number == chosen else BLUE)
+                 GREEN if number in chosen else BLUE)
             top += LINE
 
 

@@ -4,7 +4,8 @@
 Action spaces: what the outputs of a network mean as commands.
 
 Replay, learners, network heads, policies, `q_values` and bags take sizes, types and names from
-here. A further kind of space is a class with the methods of `ActionSpace` and a line in `KINDS`.
+here. A further kind of space is a class with the methods of `ActionSpace` and a line in `KINDS`;
+how a learner finds the values of its actions is said in `trainer_node/action_values.py`.
 
 CarRacing's wheels turn by at most 0.4 rad, so an angular command of 0.4 already asks for full
 lock and only smaller ones are gentle.
@@ -17,13 +18,11 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from dqn_policy_node.action_limits import check_names, check_range, check_text, TOLERANCE
+from dqn_policy_node.axis_actions import Continuous, Hybrid, Mode
 from dqn_policy_node.errors import ModelError
 from msgs_bridge.errors import MessageError
 from msgs_bridge.twists import Command
-
-MAX_ACTIONS = 64
-# a twist that went through float32 is off by less than 1e-7; neighbours differ by 0.05 or more
-TOLERANCE = 0.01
 
 
 class ActionSpace(Protocol):
@@ -57,6 +56,12 @@ class ActionSpace(Protocol):
     def greedy(self, values: np.ndarray) -> Any:
         """Return the encoded action of the highest value, values float32 (outputs,)."""
 
+    def explore(self, random: np.random.Generator, gas_weight: float = 1.0) -> Any:
+        """Draw an encoded action; one with gas is so much likelier than one without."""
+
+    def chosen(self, action: Any) -> dict[str, float]:
+        """Return what `q_values` says of an encoded action: `chosen`, and more where there is."""
+
     def mirror(self, actions: np.ndarray) -> np.ndarray:
         """Return encoded actions (B, ...) with left and right exchanged; raises ModelError."""
 
@@ -85,15 +90,11 @@ class Discrete:
 
     def __post_init__(self) -> None:
         """Check the table; raises ModelError."""
-        if not 1 <= len(self.commands) <= MAX_ACTIONS:
-            raise ModelError(f'{len(self.commands)} actions; accepted: 1 to {MAX_ACTIONS}')
-        if len(self.names) != len(self.commands) or len(set(self.names)) != len(self.names):
+        check_names(self.names)
+        if len(self.names) != len(self.commands):
             raise ModelError('every action needs a name of its own')
         for name, command in zip(self.names, self.commands):
-            # written so that NaN fails: every comparison with it is False
-            if not all(-1 <= value <= 1 for value in command):
-                raise ModelError(f'action {name!r} is {tuple(command)}; '
-                                 'accepted: linear and angular from -1 to 1')
+            check_range(name, command)
 
     def __len__(self) -> int:
         return len(self.commands)
@@ -122,6 +123,19 @@ class Discrete:
     def greedy(self, values: np.ndarray) -> int:
         """Return the index of the highest value."""
         return int(values.argmax())
+
+    def explore(self, random: np.random.Generator, gas_weight: float = 1.0) -> int:
+        """Draw an index; one whose command has gas is so much likelier than one without."""
+        if gas_weight == 1:
+            return int(random.integers(len(self)))
+        weights = np.array([
+            gas_weight if command.linear > 0 else 1.0 for command in self.commands])
+        return int(np.searchsorted(
+            np.cumsum(weights) / weights.sum(), random.random(), side='right'))
+
+    def chosen(self, action: int) -> dict[str, float]:
+        """Return what `q_values` says of an index."""
+        return {'chosen': action}
 
     def mirror(self, actions: np.ndarray) -> np.ndarray:
         """
@@ -157,14 +171,13 @@ class Discrete:
             name = values['name']
         except (TypeError, KeyError, ValueError, OverflowError) as error:
             raise ModelError(f'action space: {type(error).__name__} {error}') from None
-        if not all(isinstance(text, str) and 0 < len(text) <= 80 for text in (name, *names)):
-            raise ModelError('names of actions must be texts of 1 to 80 characters')
+        check_text(name, *names)
         if not all(math.isfinite(value) for command in commands for value in command):
             raise ModelError('action space: values must be finite')
         return cls(name, names, commands)
 
 
-KINDS = {Discrete.kind: Discrete}
+KINDS = {kind.kind: kind for kind in (Discrete, Continuous, Hybrid)}
 
 
 def read_action_space(values: Any) -> ActionSpace:
@@ -180,7 +193,21 @@ def _make(name: str, *rows: tuple[str, float, float]) -> Discrete:
         name, tuple(row[0] for row in rows), tuple(Command(*row[1:]) for row in rows))
 
 
-ACTION_SPACES = {
+# finer where CarRacing's wheels are not yet at full lock; the brakes of the document lock them
+LINEAR_NODES = (-0.8, -0.4, -0.2, 0.0, 0.2, 0.5, 1.0)
+ANGULAR_NODES = (-1.0, -0.4, -0.2, -0.1, 0.0, 0.1, 0.2, 0.4, 1.0)
+# beside a table no node may be one of its commands: what is driven there would teach the table
+_ANY = Mode('any', (-0.7, -0.3, -0.1, 0.1, 0.3, 0.6, 0.9), ANGULAR_NODES)
+
+
+def _beside_any(name: str, discrete: Discrete) -> Hybrid:
+    """Return the space of a table's commands and, as one more mode, any command."""
+    return Hybrid(name, (*(
+        Mode(own, (command.linear,), (command.angular,))
+        for own, command in zip(discrete.names, discrete.commands)), _ANY))
+
+
+ACTION_SPACES: dict[str, ActionSpace] = {
     space.name: space for space in (
         # the report, section 2.2.2
         _make(
@@ -242,6 +269,20 @@ ACTION_SPACES = {
     )
 }
 
+ACTION_SPACES |= {
+    space.name: space for space in (
+        # any command within the axes, their values decoupled (arXiv 2210.12566)
+        Continuous('continuous', (Mode('', LINEAR_NODES, ANGULAR_NODES),)),
+        # which pedal is a choice, how far the wheel is turned is not (5.2; arXiv 1810.06394)
+        Hybrid('hybrid', tuple(
+            Mode(name, (linear,), ANGULAR_NODES) for name, linear in (
+                ('gas', 1.0), ('gentle gas', 0.2), ('coast', 0.0), ('brake', -0.4)))),
+        # a table and any command beside each other, for the tuner (5.2)
+        _beside_any('seed5+any', ACTION_SPACES['seed5']),
+        _beside_any('grid9+any', ACTION_SPACES['grid9']),
+    )
+}
+
 # the five actions of the report, which its dummy agent (3.2.3) draws from
 DUMMY_SPACE = ACTION_SPACES['seed5']
 
@@ -251,3 +292,8 @@ def action_space(name: str) -> ActionSpace:
     if name not in ACTION_SPACES:
         raise ModelError(f'action space {name!r}; accepted: {", ".join(ACTION_SPACES)}')
     return ACTION_SPACES[name]
+
+
+def has_two_parts(space: ActionSpace) -> bool:
+    """Return whether a space has both single commands and axes, which a tuner can choose from."""
+    return isinstance(space, Hybrid) and len(set(space.single)) == 2

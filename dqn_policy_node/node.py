@@ -143,7 +143,7 @@ class DqnPolicyNode(NodeShell):
         values = {}
         if answer.q_values is not None:
             values.update(zip(policy.action_names, answer.q_values))
-        values['chosen'] = answer.index
+        values.update(policy.action_space.chosen(answer.action))
         values['explored'] = answer.explored
         values['weights_version'] = policy.version
         self._q_values.publish(fill_named_values(JointState(), values, stamp))
@@ -188,6 +188,8 @@ class DqnPolicyNode(NodeShell):
             self._pilot.policy.swap_weights(update)
         except BridgeError as error:
             raise MessageError(str(error)) from None
+        if not self.settings.explore:
+            self._pilot.policy.act_greedily()
         self._pilot.policy.epsilon = (
             update.epsilon ** self.settings.epsilon_exponent if self.settings.explore
             else self.settings.epsilon)

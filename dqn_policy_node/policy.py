@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -33,14 +33,14 @@ class Answer(NamedTuple):
     What a policy answers to a frame.
 
     Attributes:
-        index: place of the action in the action space.
+        action: what was chosen, as the action space encodes it.
         command: what it means.
-        q_values: float32 (actions,), or None when nothing computed them.
+        q_values: float32 (outputs,), or None when nothing computed them.
         explored: whether it was drawn at random.
         decided: whether this frame was decided on; otherwise an action is held.
     """
 
-    index: int
+    action: Any
     command: Command
     q_values: np.ndarray | None
     explored: bool
@@ -119,6 +119,8 @@ class Policy(_Acting):
         gas_weight: how much likelier than others a random action is one with gas.
         exploration_hold: most decisions for which a random action is held; how many is drawn
             from a zeta distribution of exponent 2 (arXiv 2006.01782).
+        axes_share: of the episodes that are driven with the axes of the action space alone, the
+            others with its single commands; None: every decision chooses from both.
         version: version of the weights.
     """
 
@@ -143,7 +145,11 @@ class Policy(_Acting):
         self.epsilon = 0.0
         self.gas_weight = 1.0
         self.exploration_hold = 1
-        self._explored_index, self._explorations_left = 0, 0
+        self.axes_share: float | None = None
+        # what of the action space this episode is driven with, as its methods take it
+        self._part: dict[str, Any] = {}
+        self._explored: Any = None
+        self._explorations_left = 0
         self.version = 0
         self._device = torch.device(device)
         self._network = QNetwork(description).to(self._device).eval()
@@ -153,7 +159,6 @@ class Policy(_Acting):
             description.frame_stack, description.preprocessing.shape,
             round(description.stack_seconds * NANOSECONDS))
         self._random = np.random.default_rng(seed)
-        self._has_gas = np.array([command.linear > 0 for command in self.action_space.commands])
 
     def reset(self, seed: int | None = None) -> None:
         """Start an episode: forget frames and held action; a seed restarts the exploration."""
@@ -162,6 +167,8 @@ class Policy(_Acting):
         self._explorations_left = 0
         if seed is not None:
             self._random = np.random.default_rng(seed)
+        self._part = {} if self.axes_share is None else {'modes': self.action_space.part(
+            axes=bool(self._random.random() < self.axes_share))}
 
     def decide(self, frame: np.ndarray, elapsed: int | None = None) -> Answer:
         """
@@ -178,8 +185,9 @@ class Policy(_Acting):
             elapsed = round(self.action_seconds * NANOSECONDS)
         q_values = self.q_values(self._stack.push(self._preprocess(frame), elapsed))
         explored = self._explores()
-        index = self._explored_index if explored else self.action_space.greedy(q_values)
-        return Answer(index, self.action_space.decode(index), q_values, bool(explored))
+        action = self._explored if explored else self.action_space.greedy(
+            q_values, **self._part)
+        return Answer(action, self.action_space.decode(action), q_values, bool(explored))
 
     @torch.inference_mode()
     def q_values(self, observations: np.ndarray) -> np.ndarray:
@@ -202,26 +210,25 @@ class Policy(_Acting):
         self.epsilon = update.epsilon
         self.gas_weight = update.gas_weight
         self.exploration_hold = update.exploration_hold
+        self.axes_share = update.axes_share
+
+    def act_greedily(self) -> None:
+        """Explore nothing and choose from the whole action space, whatever came with weights."""
+        self.epsilon, self.axes_share, self._part = 0.0, None, {}
 
     def _explores(self) -> bool:
-        """Return whether to act at random now, by `_explored_index`."""
+        """Return whether to act at random now, by `_explored`."""
         if self._explorations_left == 0:
             if not (self.epsilon > 0 and self._random.random() < self.epsilon):
                 return False
-            self._explored_index = self._random_index()
+            self._explored = self.action_space.explore(
+                self._random, self.gas_weight, **self._part)
             self._explorations_left = 1
             if self.exploration_hold > 1:
                 self._explorations_left = int(min(
                     self._random.zipf(ZETA_EXPONENT), self.exploration_hold))
         self._explorations_left -= 1
         return True
-
-    def _random_index(self) -> int:
-        if self.gas_weight == 1:
-            return int(self._random.integers(len(self.action_space)))
-        weights = np.where(self._has_gas, self.gas_weight, 1.0)
-        return int(np.searchsorted(
-            np.cumsum(weights) / weights.sum(), self._random.random(), side='right'))
 
 
 class RandomPolicy(_Acting):
@@ -248,8 +255,8 @@ class RandomPolicy(_Acting):
 
     def decide(self, frame: np.ndarray, elapsed: int | None = None) -> Answer:
         """Draw an action whatever the frame shows."""
-        index = int(self._random.integers(len(self.action_space)))
-        return Answer(index, self.action_space.decode(index), None, True)
+        action = self.action_space.explore(self._random)
+        return Answer(action, self.action_space.decode(action), None, True)
 
 
 def load_policy(

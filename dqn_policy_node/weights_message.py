@@ -11,6 +11,7 @@ from typing import Any
 
 import torch
 
+from dqn_policy_node.action_space import has_two_parts
 from dqn_policy_node.errors import ModelError
 from dqn_policy_node.model_description import json_sha256, ModelDescription
 from dqn_policy_node.safetensors_image import pack, read_metadata, tensors_sha256, unpack
@@ -20,6 +21,8 @@ FORMAT = 'carracing_dqn weights 2'
 READABLE = ('carracing_dqn weights 1', FORMAT)
 METADATA_KEY = 'carracing_dqn'
 MAX_HOLD = 1000
+# among the extra values: share of the training episodes that are driven with the axes of the space
+AXES_SHARE = 'axes_share'
 MAX_SESSION = 100
 # of trainers that are remembered
 SESSIONS = 100
@@ -52,6 +55,11 @@ class WeightsUpdate:
     validate: bool = False
     extra: dict[str, Any] = dataclasses.field(default_factory=dict)
     session: str = ''
+
+    @property
+    def axes_share(self) -> float | None:
+        """Return the share of episodes to drive with the axes; None: choose from everything."""
+        return self.extra.get(AXES_SHARE)
 
 
 def encode_weights(
@@ -144,6 +152,11 @@ def decode_weights(data: bytes, description: ModelDescription | None = None) -> 
     if type(validate) is not bool or not isinstance(extra, dict) or not (
             isinstance(session, str) and len(session) <= MAX_SESSION):
         raise ModelError('weights image with values of the wrong type')
+    share = extra.get(AXES_SHARE)
+    if share is not None and not (
+            has_two_parts(own.action_space) and type(share) in (int, float) and 0 <= share <= 1):
+        raise ModelError(f'weights {AXES_SHARE} {str(share)[:40]!r}; accepted: 0 to 1, for a '
+                         'space that has both single commands and axes')
     return WeightsUpdate(
         tensors, own, version, epsilon, gas_weight, hold, validate, extra, session)
 

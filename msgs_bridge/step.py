@@ -64,7 +64,9 @@ VALIDATION_FIELDS = {
 }
 
 Q_VALUE_EXTRAS = {
-    'chosen': 'index of the action that was sent',
+    'chosen': 'index of the output of the action that was sent; of the nearest node of its first '
+              'axis, where it has any',
+    'chosen_second': 'where the action space has axes: that of its second axis; -1 for none',
     'explored': '1 when it was drawn at random',
     'weights_version': 'version of the weights that computed them',
 }

@@ -7,7 +7,10 @@ import signal
 import subprocess
 import time
 
+from bags.frames import recorded_frames
+from bags.reader import BagReader
 from bags.transitions import bag_transitions
+from dqn_policy_node.action_space import action_space
 from graph_probe import carracing, start_carracing, wait_for
 import numpy as np
 import pytest
@@ -122,21 +125,32 @@ def test_a_node_that_dies_ends_the_run_with_its_name_and_the_run_can_go_on(prese
     assert (run / 'validation.csv').read_text().count('\n') == 2
 
 
-def test_a_recorded_run_holds_every_transition_that_was_learned_from(preset, tmp_path):
+@pytest.mark.parametrize('space', ['seed5', 'continuous'])
+def test_a_recorded_run_holds_every_transition_that_was_learned_from(space, preset, tmp_path):
     run = tmp_path / 'run'
     result = carracing('train', '--preset', preset, '--run', str(run), '--bag', '--set',
-                       'run_decisions=300', timeout=90)
+                       'run_decisions=300', '--set', f'action_space={space}', timeout=90)
     assert result.returncode == 0, result.stdout + result.stderr
     learned = learning(run)['decisions']
     joined = list(bag_transitions([run / 'bag']))
     assert learned == 300 and len(joined) >= 300
     returns = [float(row['train_reward']) for row in rows(run / 'episodes.csv')]
     ends = [t.step.episode_return for t in joined if t.step.ended]
+    # what `q_values` says of an action is what was driven
+    own = action_space(space)
+    with BagReader(run / 'bag') as reader:
+        said = {frame.stamp: frame.q_values for frame in recorded_frames(reader)}
+    for transition in joined:
+        bundle = said[transition.stamp]
+        assert list(bundle)[:len(own)] == list(own.names)
+        place = own.encode(transition.command)
+        assert all(bundle[name] == value for name, value in own.chosen(place).items())
     # the CSV has six digits
     assert ends[:len(returns)] == pytest.approx(returns, rel=1e-5)
     again = tmp_path / 'again'
     result = carracing('train', '--preset', preset, '--run', str(again), '--from-bag',
-                       str(run / 'bag'), '--set', 'run_decisions=300', timeout=90)
+                       str(run / 'bag'), '--set', 'run_decisions=300', '--set',
+                       f'action_space={space}', timeout=90)
     assert result.returncode == 0, result.stdout + result.stderr
     same = [(row['train_reward'], row['decisions'], row['updates'], row['loss'])
             for row in rows(again / 'episodes.csv')]

@@ -6,7 +6,7 @@ import signal
 import subprocess
 import sys
 
-from bag_cases import record_drive
+from bag_cases import record_drive, scripted
 from bags.errors import BagError
 from carracing_dqn.bringup.train_from_bag import count_steps, learn_from_bags
 from dqn_policy_node.action_space import DUMMY_SPACE
@@ -64,6 +64,14 @@ def test_a_run_ends_with_its_bags_and_by_their_share_of_it(bag, preset, tmp_path
     learn([bag], tmp_path / 'again', preset)
     first, second = (load_model(tmp_path / name / 'final') for name in ('run', 'again'))
     assert all((tensor == second.tensors[name]).all() for name, tensor in first.tensors.items())
+
+
+def test_continuous_actions_are_learned_from_whoever_drove(preset, tmp_path):
+    bag = record_drive(tmp_path / 'bag', episodes=2, decisions=40, drive_with=scripted)
+    said = learn([bag], tmp_path / 'run', preset, action_space='continuous')
+    assert 'saved' in said
+    status = Training.resume(tmp_path / 'run', device='cpu').status()
+    assert status['decisions'] == 80 and status['foreign_actions'] == 0
 
 
 def test_validations_are_driven_and_the_best_is_kept(bag, preset, tmp_path):

@@ -1,6 +1,7 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
 """The update, with targets worked out by hand, and that it learns."""
+from dqn_policy_node.action_space import action_space
 from dqn_policy_node.device import choose_device
 from dqn_policy_node.errors import ModelError
 from learning_cases import tiny
@@ -101,6 +102,52 @@ def test_quantile_loss_by_hand(double, loss):
     result = learner.update(batch, 1e-3)
     assert result['loss'] == pytest.approx(np.mean(losses), rel=1e-5)
     assert result['q_mean'] == pytest.approx(np.mean(means), rel=1e-4, abs=1e-6)
+
+
+@pytest.mark.parametrize('double', [False, True])
+def test_targets_of_axes_by_hand(double):
+    space = action_space('continuous')
+    learner = make_learner(double=double, loss='l1', action_space='continuous')
+    differ(learner.target)
+    random = np.random.default_rng(3)
+    commands = [space.explore(random) for _ in range(6)]
+    batch = make_batch(actions=np.array(commands))
+    with torch.no_grad():
+        online = values(learner.online, batch.observations)
+        next_online = values(learner.online, batch.next_observations)
+        next_target = values(learner.target, batch.next_observations)
+
+    def worth(outputs, places):
+        # linear has outputs 0 to 6, angular 7 to 15
+        return np.mean([np.interp(place, range(16), outputs) for place in places])
+
+    errors = []
+    for row in range(6):
+        judge = (next_online if double else next_target)[row]
+        best = judge[:7].argmax(), 7 + judge[7:].argmax()
+        target = batch.rewards[row] + batch.discounts[row] * worth(next_target[row], best)
+        errors.append(abs(worth(online[row], commands[row]) - target))
+    assert learner.update(batch, 1e-3)['td_error'] == pytest.approx(np.mean(errors), rel=1e-4)
+
+
+@pytest.mark.parametrize(('name', 'dueling'), [('dqn', False), ('dqn', True), ('qr_dqn', True)])
+@pytest.mark.parametrize('space', ['continuous', 'hybrid'])
+def test_what_pays_along_axes_is_found(name, dueling, space):
+    """A bandit: what is paid for is gas 1 at an angular of -0.2, and less further away."""
+    own = action_space(space)
+    learner = make_learner(learner=name, loss='huber', hidden=32, dueling=dueling,
+                           action_space=space)
+    random = np.random.default_rng(0)
+    observations = np.full((64, 2, 12, 12), 128, np.uint8)
+    for _ in range(400):
+        actions = np.array([own.explore(random) for _ in range(64)])
+        commands = np.array([own.decode(action) for action in actions])
+        rewards = (2 - abs(commands[:, 0] - 1) - 2 * abs(commands[:, 1] + 0.2)).astype(np.float32)
+        learner.update(
+            Batch(observations, actions, rewards, observations, np.zeros(64, np.float32)), 3e-3)
+    with torch.no_grad():
+        found = own.decode(own.greedy(values(learner.online, observations[:1])[0]))
+    assert found == pytest.approx((1.0, -0.2))
 
 
 @pytest.mark.parametrize('dueling', [False, True])

@@ -46,10 +46,13 @@ def test_the_same_stream_gives_the_same_weights(tmp_path):
 
 
 CARS = ('/car_0', '/car_1', '/car_2')
+TUNED = {'action_space': 'seed5+any', 'tuner_series': 2}
 
 
 @pytest.mark.parametrize('stop, changes, names', [
     (5, {}, ()), (21, {}, ()), (140, {}, ()), (140, {'learner': 'qr_dqn', 'quantiles': 8}, ()),
+    (140, {'action_space': 'continuous'}, ()), (140, TUNED, CARS),
+    (140, {**TUNED, 'learner': 'qr_dqn', 'quantiles': 8}, ()),
     (21, {}, CARS), (140, {}, CARS), (140, {'replay_capacity': 100}, CARS)])
 def test_an_interrupted_run_goes_on_as_if_nothing_had_happened(
         tmp_path, stop, changes, names, monkeypatch):

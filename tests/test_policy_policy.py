@@ -58,8 +58,8 @@ def test_a_reset_forgets_frames_and_held_action():
 def test_a_decision_is_the_best_q_value():
     policy = Policy(DESCRIPTION)
     decision = policy.decide(frames(1)[0])
-    assert decision.index == decision.q_values.argmax()
-    assert decision.command == DESCRIPTION.action_space.decode(decision.index)
+    assert decision.action == decision.q_values.argmax()
+    assert decision.command == DESCRIPTION.action_space.decode(decision.action)
     assert decision.explored is False
     assert decision.q_values.shape == (5,)
     assert policy.action_names == ('none', 'left', 'right', 'gas', 'brake')
@@ -71,10 +71,10 @@ def test_exploration_is_seeded_and_weighted():
     frame = frames(1)[0]
     first = [policy.decide(frame) for _ in range(300)]
     assert all(decision.explored for decision in first)
-    share = sum(decision.index == 3 for decision in first) / 300
+    share = sum(decision.action == 3 for decision in first) / 300
     assert 0.7 < share < 0.9
     policy.reset(seed=5)
-    assert [policy.decide(frame).index for _ in range(300)] == [d.index for d in first]
+    assert [policy.decide(frame).action for _ in range(300)] == [d.action for d in first]
 
 
 def test_a_random_action_may_be_held_for_a_drawn_number_of_decisions():
@@ -86,7 +86,7 @@ def test_a_random_action_may_be_held_for_a_drawn_number_of_decisions():
             if explored]
     # two explorations may follow each other, so the longest run is no bound
     held = [len(list(same)) for run in runs for _, same in itertools.groupby(
-        run, lambda d: d.index)]
+        run, lambda d: d.action)]
     assert 0.5 < np.mean([length == 1 for length in held]) < 0.7
     assert np.sum([length >= 6 for length in held]) > 5 and max(held) <= 12
     policy.reset()
@@ -132,7 +132,7 @@ def test_load_policy_is_greedy_and_has_the_version(tmp_path):
 def test_the_dummy_agent_draws_all_actions_alike():
     policy = RandomPolicy(ACTION_SPACES['seed5'], seed=3)
     frame = frames(1)[0]
-    counts = np.bincount([policy.decide(frame).index for _ in range(1000)], minlength=5)
+    counts = np.bincount([policy.decide(frame).action for _ in range(1000)], minlength=5)
     assert counts.min() > 150
     policy.reset(seed=3)
     assert policy.act(frame) in ACTION_SPACES['seed5'].commands

@@ -16,7 +16,7 @@ class DqnLearner(ValueLearner):
         target = self._targets(batch)
         q_values = self.working(
             self.working.prepare(batch.observations), dropout=self.dropout)
-        chosen = q_values.gather(1, batch.actions.long().unsqueeze(1)).squeeze(1)
+        chosen = self.actions.of(q_values, batch.actions)
         error = chosen - target
         return self.loss_of(error).mean(), error.abs().mean(), chosen.mean()
 
@@ -26,8 +26,7 @@ class DqnLearner(ValueLearner):
         following = self.target.prepare(batch.next_observations)
         judged = self.target(following)
         if self.settings.double:
-            best = self.working(following).argmax(1, keepdim=True)
-            value = judged.gather(1, best).squeeze(1)
+            value = self.actions.of(judged, self.actions.best(self.working(following)))
         else:
-            value = judged.amax(1)
+            value = self.actions.highest(judged)
         return batch.rewards + batch.discounts * value

@@ -13,7 +13,7 @@ import math
 from pathlib import Path
 from typing import Any
 
-from dqn_policy_node.action_space import ACTION_SPACES, action_space
+from dqn_policy_node.action_space import ACTION_SPACES, action_space, has_two_parts
 from dqn_policy_node.model_description import (
     GRAYS, MAX_FRAME_SIDE, ModelDescription, Network, parse_convolutions, Preprocessing, ROADS,
 )
@@ -72,6 +72,14 @@ class Hyperparameters:
     action_space: str = setting(
         'seed5', 'what the outputs of the network mean; the five actions of the report are seed5 '
         '(2.2.2)', choices=tuple(ACTION_SPACES))
+    tuner_series: int = setting(
+        0, 'training episodes after which the share of those that are driven with the axes of a '
+        'space, and not with its single commands, is moved to what earned more (5.2); 0 = each '
+        'decision chooses from both', low=0, high=1_000_000)
+    tuner_step: float = setting(
+        0.1, 'by how much that share is moved', low=0.001, high=0.5)
+    tuner_least: float = setting(
+        0.1, 'least share of either of the two, so that both are known', low=0.0, high=0.5)
     frame_seconds: float = setting(
         0.02, 'simulated seconds of one frame of the simulator', low=1e-4, high=1.0)
     action_repeat: int = setting(
@@ -214,6 +222,9 @@ class Hyperparameters:
         low=0.0, high=1000.0)
     early_end_terminal: bool = setting(
         False, 'treat an early end as the end of all rewards instead of bootstrapping')
+    truncated_terminal: bool = setting(
+        False, 'treat every end of an episode as that of all rewards, the limit of its frames '
+        'too, as code does that keeps one flag for both')
 
     # What is handed out and kept. --------------------------------------------------------------
     weights_every: int = setting(
@@ -243,6 +254,11 @@ class Hyperparameters:
             SettingsError: values that contradict each other.
         """
         self.model_description()
+        if self.tuner_series and not has_two_parts(action_space(self.action_space)):
+            raise SettingsError(
+                f'tuner_series is {self.tuner_series}, but {self.action_space!r} has not both '
+                'single commands and axes; those that have: '
+                + ', '.join(name for name, space in ACTION_SPACES.items() if has_two_parts(space)))
         if self.epsilon_end > self.epsilon_start:
             raise SettingsError(f'epsilon_end {self.epsilon_end} is above epsilon_start '
                                 f'{self.epsilon_start}')

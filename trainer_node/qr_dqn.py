@@ -29,7 +29,7 @@ class QrDqnLearner(ValueLearner):
         target = self._targets(batch)
         quantiles = self.working.quantiles(
             self.working.prepare(batch.observations), dropout=self.dropout)
-        chosen = _of_action(quantiles, batch.actions.long())
+        chosen = self.actions.of(quantiles, batch.actions)
         # every target sample against every quantile (algorithm 1): (B, targets, quantiles)
         error = target.unsqueeze(2) - chosen.unsqueeze(1)
         weight = (self._shares - (error.detach() < 0).float()).abs()
@@ -43,11 +43,5 @@ class QrDqnLearner(ValueLearner):
         following = self.target.prepare(batch.next_observations)
         judged = self.target.quantiles(following)
         chooser = self.working(following) if self.settings.double else judged.mean(2)
-        best = _of_action(judged, chooser.argmax(1))
+        best = self.actions.of(judged, self.actions.best(chooser))
         return batch.rewards.unsqueeze(1) + batch.discounts.unsqueeze(1) * best
-
-
-def _of_action(quantiles: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
-    """Return the quantiles (B, N) of one action (B,) each out of those of all (B, actions, N)."""
-    index = actions.view(-1, 1, 1).expand(-1, 1, quantiles.shape[2])
-    return quantiles.gather(1, index).squeeze(1)

@@ -132,7 +132,7 @@ TERMS = {
     'early_end': Term('early_end_penalty', ('ended_early', 'came_round'), _early_end),
 }
 
-REWARD_SETTINGS = ('reward_scale', 'early_end_terminal', *(
+REWARD_SETTINGS = ('reward_scale', 'early_end_terminal', 'truncated_terminal', *(
     name for term in TERMS.values() for name in (term.weight, *term.settings)))
 """What the rewards in a replay buffer were made with: none of it can change within a run."""
 
@@ -201,6 +201,8 @@ class Shaping:
 
     def terminated(self, transition: Transition) -> bool:
         """Return whether nothing is worth anything after a transition."""
+        if self._settings.truncated_terminal and transition.step.ended:
+            return True
         return transition.terminated or (
             self._settings.early_end_terminal
             and transition.step.info.get('ended_early', 0.0) > 0)

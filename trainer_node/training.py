@@ -21,7 +21,7 @@ import uuid
 from dqn_policy_node.model_description import ModelDescription
 from dqn_policy_node.model_folder import load_model, Model, save_model
 from dqn_policy_node.shipped_models import find_model
-from dqn_policy_node.weights_message import encode_weights
+from dqn_policy_node.weights_message import AXES_SHARE, encode_weights
 from msgs_bridge.machine import describe_machine
 from msgs_bridge.transitions import Transition
 from trainer_node.checkpoint import Checkpoint, Part, refuse_differences
@@ -32,6 +32,7 @@ from trainer_node.model_selection import ModelSelection, Moment
 from trainer_node.run_clock import RunClock
 from trainer_node.run_folder import now, RunFolder
 from trainer_node.run_record import RunRecord
+from trainer_node.tuner import Tuner
 
 # sources whose episodes are told in the weights
 MOST_TOLD = 256
@@ -50,6 +51,7 @@ class Training:
         selection: versions of the weights and the best of them.
         several: whether its sources have names; weights say then what a car needs to join.
         cars: how many of them are counted on.
+        tuner: chooses between two action spaces; None without one.
     """
 
     def __init__(
@@ -62,6 +64,7 @@ class Training:
         self._clock = RunClock(clock)
         self.learning = Learning(settings, device)
         self.selection = ModelSelection(settings)
+        self.tuner = Tuner(settings) if settings.tuner_series else None
         self._record = RunRecord(
             folder, self.learning.learner.FIGURES, tensorboard=tensorboard)
         self._checkpoint = Checkpoint(folder.checkpoint)
@@ -146,8 +149,9 @@ class Training:
     @property
     def _parts(self) -> dict[str, Part]:
         """Return what a checkpoint is made of, by name."""
-        return {'learning': self.learning, 'selection': self.selection,
-                'record': self._record, 'clock': self._clock}
+        parts = {'learning': self.learning, 'selection': self.selection,
+                 'record': self._record, 'clock': self._clock}
+        return parts if self.tuner is None else {**parts, 'tuner': self.tuner}
 
     def _begin_session(self, run: dict[str, Any]) -> None:
         self._record.begin_session(
@@ -233,6 +237,8 @@ class Training:
         learning, updates = self.learning, self.learning.learner.updates
         try:
             learning.insert(transition, source)
+            if self.tuner is not None:
+                self.tuner.took(transition.command, source)
             while learning.due:
                 self._record.updated(
                     learning.update(self.progress), learning, epsilon=learning.epsilon,
@@ -244,6 +250,9 @@ class Training:
         if ended:
             epsilon = self.acting_epsilon
             learning.end_episode(transition.step.episode_return, source)
+            if self.tuner is not None and self.tuner.episode_ended(
+                    self.episodes, transition.step.episode_return, source):
+                self._record.note('tuner', self.tuner.to_json())
             self._record.episode(
                 transition.step, learning, epsilon=epsilon, version=self.version,
                 seconds=self.wall_seconds)
@@ -268,7 +277,12 @@ class Training:
             tensors, self.description, version=self.version, epsilon=epsilon,
             gas_weight=self.settings.gas_weight,
             exploration_hold=self.settings.exploration_hold, validate=validate,
-            session=self._session, extra=self._for_cars() if self.several else None)
+            session=self._session, extra=self._extra())
+
+    def _extra(self) -> dict[str, Any]:
+        """Return what goes out with the weights beside how to act with them."""
+        return {**(self.tuner.extra() if self.tuner is not None else {}),
+                **(self._for_cars() if self.several else {})}
 
     def _for_cars(self) -> dict[str, Any]:
         """Return what a car needs to know that joins: how to drive, and what it has behind it."""
@@ -322,6 +336,8 @@ class Training:
             **self.learning.figures(), **self._record.figures(), 'progress': self.progress,
             'epsilon': self.learning.epsilon, 'weights_version': self.version,
             'wall_seconds': self.wall_seconds}
+        if self.tuner is not None:
+            values[AXES_SHARE] = self.tuner.share
         if self.selection.last:
             values['validation_mean'] = self.selection.last['mean']
             values['best_validation'] = self.selection.best['mean']

@@ -15,6 +15,7 @@ import torch
 
 from dqn_policy_node.device import choose_device
 from dqn_policy_node.network import QNetwork
+from trainer_node.action_values import action_values
 from trainer_node.errors import LearningError
 from trainer_node.hyperparameters import Hyperparameters
 from trainer_node.losses import LOSSES
@@ -34,6 +35,7 @@ class ValueLearner:
         working: the network that computes: `online` itself, or its bfloat16 copy.
         target: the network that judges; a copy of an earlier `online`.
         averaged: the averaged weights, None when they are off.
+        actions: finds the values of actions in the outputs of a network.
         updates: updates made.
     """
 
@@ -44,6 +46,7 @@ class ValueLearner:
         self.settings = settings
         self.device = choose_device(device)
         description = settings.model_description()
+        self.actions = action_values(description.action_space)
         self.online = QNetwork(description).to(self.device)
         self.working = self.online
         self.target = QNetwork(description).to(self.device).requires_grad_(False)

@@ -100,7 +100,7 @@ class ValidationNode(NodeShell):
         simulator = self._made.result()
         policy = Policy(update.description, frame_seconds=simulator.frame_seconds)
         policy.swap_weights(update)
-        policy.epsilon = 0.0
+        policy.act_greedily()
         seeds = range(self.settings.seed, self.settings.seed + self.settings.tracks)
         return validate(policy, seeds, version=update.version, simulator=simulator,
                         should_stop=self._stopping.is_set)

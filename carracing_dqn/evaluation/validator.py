@@ -83,5 +83,5 @@ def validate_weights(
     made = make_simulator(simulator)
     policy = dqn_policy.Policy(update.description, frame_seconds=made.frame_seconds)
     policy.swap_weights(update)
-    policy.epsilon = 0.0
+    policy.act_greedily()
     return validate(policy, seeds, version=update.version, simulator=made)
