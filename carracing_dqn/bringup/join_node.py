@@ -119,7 +119,7 @@ def read_handout(data: bytes) -> Handout:
             not what it should be.
     """
     extra = read_extra(data)
-    if not extra:
+    if 'simulator' not in extra:
         raise BridgeError('that trainer learns from one car alone; one that takes in others is '
                           'started with carracing train --role learner')
     simulator, episodes = extra.get('simulator'), extra.get('episodes')
