@@ -78,6 +78,8 @@ setup(
         # to look at the pages of `carracing watch` as a browser shows them
         'browser': ['playwright'],
         'tensorboard': ['tensorboard'],
+        # `carracing study` with the sampler tpe
+        'search': ['optuna'],
         # simulators that others wrote
         'highway': ['highway-env'],
         'mujoco': ['mujoco'],

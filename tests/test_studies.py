@@ -16,7 +16,9 @@ from carracing_dqn.bringup.command import main
 from carracing_dqn.studies.bootstrap import (
     estimate, improvement, interquartile_mean, permutation_p,
 )
+from carracing_dqn.studies.errors import StudyError
 from carracing_dqn.studies.one_process import learn
+from carracing_dqn.studies.search import Search
 from carracing_dqn.studies.study_file import find_study, load_study, plan, study_names
 from dqn_policy_node.model_folder import load_model
 import numpy as np
@@ -204,6 +206,76 @@ def test_the_studies_of_the_package_can_be_run(name, tmp_path):
     assert not study.notes and [run.problem for run in runs if run.problem] == []
     assert study.settings.about and (runs or study.search)
     assert all(arm.about for arm in study.arms)
+
+
+SPACE = {'learning_rate': {'low': 1e-5, 'high': 1e-2, 'log': True},
+         'batch_size': {'low': 8, 'high': 16}, 'loss': ['l1', 'huber']}
+
+
+def search_of(**changes):
+    return load_study(Path(write(search={'trials': 30, 'space': SPACE, **changes}, seeds=[1])))
+
+
+def test_a_search_draws_from_its_space_and_goes_on_with_the_same(folder):
+    search = Search(search_of(), folder)
+    arms = [search.draw({}) for _ in range(30)]
+    assert search.complete
+    drawn = [dict(arm.set) for arm in arms]
+    assert {values['loss'] for values in drawn} == {'l1', 'huber'}
+    assert {type(values['batch_size']) for values in drawn} == {int}
+    assert {values['batch_size'] for values in drawn} > {8, 12} and len(plan(
+        search_of(), tuple(arms), folder)) == 30
+    rates = [values['learning_rate'] for values in drawn]
+    assert min(rates) < 1e-4 < 1e-3 < max(rates)
+    again = Search(search_of(), folder)
+    assert [dict(arm.set) for arm in again.arms] == drawn
+    other = folder / 'other'
+    other.mkdir()
+    fresh = Search(search_of(), other)
+    assert dict(fresh.draw({}).set) == drawn[0]
+    (folder / 'search.json').write_text('{"format": "carracing_dqn search 1", "trials": [{}]}')
+    with pytest.raises(StudyError, match='trials of another search'):
+        Search(search_of(), folder)
+
+
+def test_optuna_chooses_by_what_earlier_trials_earned(folder):
+    pytest.importorskip('optuna', reason='the extra search is not installed')
+    search = Search(search_of(sampler='tpe', trials=40), folder)
+    scores = {}
+    while not search.complete:
+        arm = search.draw(scores)
+        scores[arm.name] = -abs(np.log(arm.set['learning_rate'] / 1e-3)) - (
+            arm.set['loss'] == 'l1')
+    late = [arm.set for arm in search.arms[25:]]
+    assert np.mean([values['loss'] == 'huber' for values in late]) > 0.6
+    assert np.median([abs(np.log(v['learning_rate'] / 1e-3)) for v in late]) < 1.5
+
+
+@pytest.mark.parametrize(('changes', 'told'), [
+    ({'space': {}}, 'space must be a mapping'),
+    ({'space': {'rate': [1]}}, "unknown setting 'rate'"),
+    ({'space': {'gamma': [2.0]}}, 'gamma is 2.0'),
+    ({'space': {'gamma': {'low': 0.9}}}, 'gamma must be a list of values, or low, high'),
+    ({'space': {'loss': {'low': 0, 'high': 1}}}, 'loss must be a list of values'),
+    ({'space': {'gamma': {'low': 0.9, 'high': 0.8}}}, 'low must be below high'),
+    ({'space': {'gamma': {'low': 0.0, 'high': 0.8, 'log': True}}}, 'low must be below high'),
+    ({'trials': 0}, 'trials is 0'), ({'trails': 3}, "unknown setting 'trails'"),
+    ({'sampler': 'grid'}, 'sampler is'),
+])
+def test_a_search_that_is_none_is_one_line(folder, changes, told):
+    with pytest.raises(StudyError, match='search: ') as caught:
+        Search(search_of(**changes), folder)
+    assert told in str(caught.value)
+
+
+def test_a_search_is_driven_and_compared(folder, capsys):
+    path = write(search={'trials': 2, 'space': {'gamma': [0.9, 0.99], 'double': [True, False]}},
+                 seeds=[1], laps=0, set={'run_decisions': 150})
+    assert main(['study', path, '--processes', '2']) == 0
+    page = Path('runs/studies/which/which.md').read_text()
+    assert '2 of 2 runs are done' in page and 'P(better than trial-000)' in page
+    assert main(['study', path]) == 0
+    assert capsys.readouterr().out.count('done before') == 2
 
 
 def test_interquartile_mean_by_hand():

@@ -24,6 +24,7 @@ from msgs_bridge.topics import ROBOT_TOPICS, Topic, TOPICS
 SETTINGS = {
     'every_node': ('msgs_bridge.node_shell', 'ShellSettings'),
     'study': ('carracing_dqn.studies.study_file', 'StudySettings'),
+    'search': ('carracing_dqn.studies.search', 'SearchSettings'),
     'gymnasium_env': ('carracing_dqn.simulators.gymnasium_env', 'GymnasiumEnvSettings'),
     **{kind.name: tuple(kind.settings.split(':')) for kind in KINDS}}
 FIELDS = {

@@ -12,6 +12,7 @@ from carracing_dqn.studies.errors import StudyError
 from carracing_dqn.studies.outcome import DONE, Outcome, outcome_of, WINDOW
 from carracing_dqn.studies.page import write_page
 from carracing_dqn.studies.schedule import Schedule
+from carracing_dqn.studies.search import Search
 from carracing_dqn.studies.study_file import (
     Arm, find_study, load_study, plan, PlannedRun, Study, study_names,
 )
@@ -62,8 +63,9 @@ class _Session:
     def __init__(self, study: Study, output: Path, arguments: argparse.Namespace) -> None:
         self._study, self._output, self._arguments = study, output, arguments
         self._console = Console()
-        self._arms: list[Arm] = list(study.arms)
-        self._runs: list[PlannedRun] = plan(study, study.arms, output)
+        self._search = Search(study, output) if study.search else None
+        self._arms: list[Arm] = [*study.arms, *(self._search.arms if self._search else ())]
+        self._runs: list[PlannedRun] = plan(study, tuple(self._arms), output)
         # of this call: why runs could not be begun at all is in no folder
         self._problems: dict[Path, str] = {}
 
@@ -107,16 +109,32 @@ class _Session:
             lock.unlock()
         return False
 
-    def _left(self) -> Iterator[PlannedRun | None]:
+    def _left(self) -> Iterator[PlannedRun]:
         """Yield the runs that are still to be driven."""
         only = self._arguments.only
-        for run in self._runs:
-            if only and run.arm not in only:
-                continue
+        yield from self._undone([run for run in self._runs if not only or run.arm in only])
+        while self._search and not self._search.complete and not only:
+            arm = self._search.draw(self._scores())
+            runs = plan(self._study, (arm,), self._output)
+            self._arms.append(arm)
+            self._runs += runs
+            yield from self._undone(runs)
+
+    def _undone(self, runs: list[PlannedRun]) -> Iterator[PlannedRun]:
+        for run in runs:
             if self._outcome(run).state == DONE:
                 self._say(f'{run.name}: done before')
             else:
                 yield run
+
+    def _scores(self) -> dict[str, float]:
+        """Return the mean of the runs of each arm that are done, by its name."""
+        found: dict[str, list[float]] = {}
+        for run in self._runs:
+            outcome = self._outcome(run)
+            if outcome.state == DONE:
+                found.setdefault(run.arm, []).append(float(outcome.scores.mean()))
+        return {arm: sum(scores) / len(scores) for arm, scores in found.items()}
 
     def _ended(self, run: PlannedRun, problem: str) -> None:
         if problem:

@@ -83,8 +83,9 @@ def _markdown(
     lines += [f'{done} of {len(runs)} runs are done. `carracing study {_file(study)}` drives what '
               'is left and writes this page.', '']
     lines += [f'- {note}' for note in (*study.notes, *notes)]
-    lines += ['', f'![Curves and scores]({study.name}.png)', '', _reading(study), '']
-    lines += _result_table(study, by_arm)
+    baseline = study.baseline or next(iter(by_arm), '')
+    lines += ['', f'![Curves and scores]({study.name}.png)', '', _reading(study, baseline), '']
+    lines += _result_table(baseline, by_arm)
     lines += ['', '## Arms', '', '| arm | what it is | settings of its own |', '|---|---|---|']
     lines += [f'| {arm.name} | {arm.about} | {_settings_of(arm)} |' for arm in arms]
     if study.set:
@@ -93,7 +94,7 @@ def _markdown(
     return '\n'.join(lines)
 
 
-def _reading(study: Study) -> str:
+def _reading(study: Study, baseline: str) -> str:
     settings = study.settings
     by = (f'{settings.laps} test laps of its {"last" if settings.model == FINAL else "best"} '
           f'weights, greedy, from seed {settings.test_seed}' if settings.laps else
@@ -102,20 +103,20 @@ def _reading(study: Study) -> str:
     return (
         f'Each run is judged by {by}. Curves: mean over the seeds, the band from the lowest to '
         'the highest, as far as the shortest run goes. IQM is the mean of the middle half of all '
-        f'laps, P the probability that a run does better than one of `{study.baseline}` on the '
+        f'laps, P the probability that a run does better than one of `{baseline}` on the '
         'same track (arXiv 2108.13264); brackets are 95 % bootstrap intervals over whole runs. '
         'p is that of an exact permutation test of the means of runs; three seeds against three '
         'cannot get below 0.10. Spread is the standard deviation between seeds (n - 1). Circles '
         'are seeds.')
 
 
-def _result_table(study: Study, by_arm: Mapping[str, Sequence[Outcome]]) -> list[str]:
+def _result_table(baseline: str, by_arm: Mapping[str, Sequence[Outcome]]) -> list[str]:
     lines = [
         '| arm | seeds | mean | spread | IQM | finished | stands at the end | training, last '
-        f'{LAST_EPISODES} | P(better than {study.baseline}) | '
+        f'{LAST_EPISODES} | P(better than {baseline}) | '
         'p of the means |',
         '|---|---|---|---|---|---|---|---|---|---|']
-    base = scores_of(by_arm.get(study.baseline, ()))
+    base = scores_of(by_arm.get(baseline, ()))
     for name, outcomes in by_arm.items():
         done = [outcome for outcome in outcomes if outcome.state == DONE]
         seeds = f'{len(done)} of {len(outcomes)}' if len(done) < len(outcomes) else f'{len(done)}'
@@ -126,7 +127,7 @@ def _result_table(study: Study, by_arm: Mapping[str, Sequence[Outcome]]) -> list
         means = scores.mean(axis=1)
         last = [outcome.training[-LAST_EPISODES:].mean() for outcome in done
                 if len(outcome.training)]
-        better = ' | ' if name == study.baseline or not base.size else _verdict(scores, base)
+        better = ' | ' if name == baseline or not base.size else _verdict(scores, base)
         lines.append(
             f'| {name} | {seeds} | {means.mean():.1f} | {_spread(means)} | '
             f'{_bracketed(estimate(scores, interquartile_mean), ".1f")} | '

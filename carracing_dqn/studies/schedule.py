@@ -69,13 +69,12 @@ class Schedule:
     def __exit__(self, *_: object) -> None:
         self.stop()
 
-    def drive(self, runs: Iterable[PlannedRun | None]) -> Iterator[tuple[PlannedRun, str]]:
+    def drive(self, runs: Iterable[PlannedRun]) -> Iterator[tuple[PlannedRun, str]]:
         """
         Yield each run when it has ended, with why it failed, '' if it did not.
 
         Args:
-            runs: those that are still to be done; None while none can be named before another
-                one has ended.
+            runs: those that are still to be done; the next one is asked for when there is room.
         """
         source = iter(runs)
         more, watched = True, time.monotonic()
@@ -84,9 +83,6 @@ class Schedule:
                 run = next(source, self)
                 if run is self:
                     more = False
-                elif run is None:
-                    more = bool(self._running)
-                    break
                 elif run.problem:
                     yield run, run.problem
                 elif problem := self._start(run):
