@@ -11,7 +11,7 @@ import textwrap
 import time
 
 from carracing_dqn.bringup.graph import (
-    driving_graph, KINDS, REFEREE, replay_graph, training_graph,
+    cars_graph, driving_graph, KINDS, REFEREE, replay_graph, training_graph,
 )
 from carracing_dqn.bringup.processes import ChildDied, node_command, ProcessGroup
 from graph_probe import wait_for
@@ -56,9 +56,54 @@ def test_simulator_and_policy_wait_for_everybody_who_must_miss_nothing():
     assert [node.kind.name for node in replay_graph(bag='x')] == ['bag_player_node']
 
 
+def test_cars_are_apart_wait_for_all_that_hear_them_and_take_the_weights_of_one():
+    graph = cars_graph(Hyperparameters(), 2, trainer={}, bag='bag', namespace='race',
+                       episodes={'/race/car_1': 7})
+    roles = [node.role for node in graph]
+    assert roles == ['recorder', 'trainer', 'validator', 'policy_car_0', 'simulator_car_0',
+                     'policy_car_1', 'simulator_car_1']
+    nodes = dict(zip(roles, graph))
+    assert waits(graph)['policy'] == 3 and waits(graph)['simulator'] == 2
+    policies, simulators = ([nodes[f'{role}_car_{car}'] for car in (0, 1)]
+                            for role in ('policy', 'simulator'))
+    for namespace, weights in (
+            ('', '/weights'), ('race', '/race/weights'), ('/a/b', '/a/b/weights')):
+        assert policies[0].remaps(namespace) == {'weights': weights}
+    assert policies[1].namespace('race') == 'race/car_1' == simulators[1].namespace('/race')
+    assert nodes['trainer'].parameters['sources'] == 'car_*' and not nodes['trainer'].space
+    assert [one.parameters['epsilon_exponent'] for one in policies] == [1.0, 8.0]
+    assert [one.parameters['first_episode'] for one in simulators] == [0, 7]
+    assert not any(one.parameters['publish_clock'] for one in simulators)
+    for kind in (policies, simulators):
+        assert kind[0].parameters['seed'] != kind[1].parameters['seed']
+    words = node_command('x', {}, policies[1].namespace('race'),
+                         remaps=policies[1].remaps('race'))
+    assert words[-4:] == ['-r', '__ns:=/race/car_1', '-r', 'weights:=/race/weights']
+
+
+def test_a_car_that_dies_does_not_end_the_others_but_the_last_one_does(tmp_path):
+    with ProcessGroup(tmp_path) as group:
+        for name in ('simulator_car_0', 'policy_car_0', 'simulator_car_1'):
+            group.start(name, ['sleep', '60'], expendable=True)
+        assert group.check() is None and group.losses() == []
+        group.children['simulator_car_0'].process.kill()
+        group.children['simulator_car_0'].process.wait()
+        assert group.check() is None
+        (line,) = group.losses()
+        assert 'simulator_car_0 ended with signal SIGKILL' in line and 'go on' in line
+        assert group.losses() == []
+        group.children['simulator_car_1'].process.kill()
+        group.children['simulator_car_1'].process.wait()
+        with pytest.raises(ChildDied, match='no car is left: simulator_car_1 ended'):
+            group.check()
+        group.stop()
+        group.check_ends()
+
+
 def test_graphs_name_parameters_that_the_nodes_know():
     graphs = [driving_graph(model='racing', seed=1, bag='bag'), replay_graph(bag='bag'),
-              training_graph(Hyperparameters(), trainer={'run': 'x', 'preset': 'y'})]
+              training_graph(Hyperparameters(), trainer={'run': 'x', 'preset': 'y'}),
+              cars_graph(Hyperparameters(), 2, trainer={'run': 'x', 'preset': 'y'}, bag='bag')]
     seen = set()
     for node in sum(graphs, ()):
         module, name = node.kind.settings.split(':')

@@ -38,7 +38,8 @@ def test_the_layout_lets_ament_find_the_package(tmp_path, monkeypatch):
     share = Path(get_package_share_directory('carracing_dqn'))
     assert (share / 'package.xml').is_file() and (share / 'config' / 'report.yaml').is_file()
     assert sorted(path.name for path in (share / 'launch').iterdir()) == [
-        'race.launch.py', 'replay.launch.py', 'train.launch.py']
+        'car.launch.py', 'learner.launch.py', 'race.launch.py', 'replay.launch.py',
+        'train.launch.py']
     assert not (share / 'launch').is_symlink()
 
 

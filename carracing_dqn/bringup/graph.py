@@ -234,13 +234,33 @@ def cars_graph(
         hyperparameters, trainer=trainer, cars=cars, vehicle=vehicle)]
     for car in range(cars):
         name = '/'.join(['', *filter(None, (namespace.strip('/'), car_space(car)))])
-        graph += car_graph(
-            car, vehicle=vehicle, listeners=1 + len(recorder),
-            simulator={**hyperparameters.simulator_parameters(car),
-                       'first_episode': (episodes or {}).get(name, 0)},
-            seed=driver_seed(hyperparameters.seed, first_decision, car),
-            exponent=epsilon_exponent(car, cars, hyperparameters.epsilon_spread))
+        graph += one_of_the_cars(
+            hyperparameters, car, cars, first_episode=(episodes or {}).get(name, 0),
+            first_decision=first_decision, vehicle=vehicle, listeners=1 + len(recorder))
     return tuple(graph)
+
+
+def one_of_the_cars(
+    hyperparameters: Any, car: int, cars: int, *, first_episode: int = 0,
+    first_decision: int = 0, vehicle: Mapping[str, Any] | None = None, listeners: int = 1,
+) -> Graph:
+    """
+    Return one car of a run whose settings are known here.
+
+    Args:
+        hyperparameters: as for `training_graph`.
+        car: its number.
+        cars: how many there are.
+        first_episode: episodes that it has behind it.
+        first_decision: as for `training_graph`.
+        vehicle: as for `training_graph`.
+        listeners: as for `car_graph`.
+    """
+    return car_graph(
+        car, vehicle=vehicle, listeners=listeners,
+        simulator={**hyperparameters.simulator_parameters(car), 'first_episode': first_episode},
+        seed=driver_seed(hyperparameters.seed, first_decision, car),
+        exponent=epsilon_exponent(car, cars, hyperparameters.epsilon_spread))
 
 
 def driver_seed(seed: int, first_decision: int, car: int = 0) -> int:
