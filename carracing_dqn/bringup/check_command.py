@@ -5,9 +5,10 @@ from __future__ import annotations
 
 import argparse
 
+from carracing_dqn.bringup.findings_table import findings_table
 from carracing_dqn.bringup.models import choose_model
 from carracing_dqn.bringup.monitor import absolute_namespace
-from carracing_dqn.simulation.fit import BAD, Finding, findings, UNSURE, Wanted
+from carracing_dqn.simulation.fit import BAD, findings, Wanted
 from carracing_dqn.simulation.profiles import Profile, profile_names, profile_of
 from carracing_dqn.simulation.registry import simulator_names
 from dqn_policy_node.model_folder import load_model
@@ -17,10 +18,7 @@ from msgs_bridge.errors import BridgeError, SettingsError
 from msgs_bridge.settings import from_mapping
 from msgs_bridge.terminal import say
 from rich.console import Console
-from rich.table import Table
-from rich.text import Text
 
-COLOURS = {BAD: 'red', UNSURE: 'yellow'}
 PLAIN_FRAME = (96, 96)
 """What is looked at without a model: CarRacing's width and height."""
 
@@ -64,7 +62,7 @@ def main(arguments: argparse.Namespace) -> int:
     seen = look(settings, frame, namespace=namespace, remaps=dict(profile.topics),
                 seconds=arguments.seconds, nudge=arguments.nudge)
     found = list(findings(seen, Wanted(profile.vehicle, profile.camera, frame, seconds)))
-    console.print(_table(found))
+    console.print(findings_table(found))
     return int(any(one.verdict == BAD for one in found))
 
 
@@ -76,14 +74,3 @@ def _seen_by(model: str | None) -> tuple[tuple[int, int], float]:
     description = load_model(name).description
     preprocessing = description.preprocessing
     return ((preprocessing.frame_width, preprocessing.frame_height), description.action_seconds)
-
-
-def _table(found: list[Finding]) -> Table:
-    table = Table()
-    for column in ('what', '', 'found', 'what mends it'):
-        table.add_column(column, overflow='fold')
-    for one in found:
-        # texts of others stand in it: no markup
-        table.add_row(one.name, Text(one.verdict, style=COLOURS.get(one.verdict, 'green')),
-                      Text(one.found), Text(one.mend))
-    return table

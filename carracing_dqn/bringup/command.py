@@ -27,6 +27,8 @@ SUBCOMMANDS = {
                  'greedy laps on seeded tracks in the unmodified environment'),
     'watch': ('carracing_dqn.bringup.watch_command',
               'the live graph or a bag on one screen, in the terminal or in the browser'),
+    'doctor': ('carracing_dqn.bringup.doctor_command',
+               'what of this machine and of the graph is not as it should be, and what mends it'),
     'check': ('carracing_dqn.bringup.check_command',
               'what of a running simulator or robot does not fit, and what mends it'),
     'report': ('carracing_dqn.evaluation.report_command',
