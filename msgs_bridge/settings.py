@@ -85,10 +85,16 @@ def describe(settings_class: type) -> dict[str, tuple[type, Any, Description]]:
     }
 
 
-def numbers(settings: Any) -> dict[str, float]:
-    """Return the settings that are numbers, true and false as 1 and 0, by name."""
+def numbers(settings: Any, settings_class: type) -> dict[str, float]:
+    """
+    Return settings that are numbers by name, true and false as 1 and 0.
+
+    Args:
+        settings: an instance of `settings_class`, or of a subclass that has more.
+        settings_class: whose settings are meant.
+    """
     return {name: float(getattr(settings, name))
-            for name, (kind, _, _) in describe(type(settings)).items() if kind is not str}
+            for name, (kind, _, _) in describe(settings_class).items() if kind is not str}
 
 
 def check_value(name: str, kind: type, description: Description, value: Any) -> Any:

@@ -72,7 +72,7 @@ class GymnasiumEnv(Simulator):
         self.description = f'gymnasium.make({plain(settings.environment)!r})'
         self._settings = settings
         # by these a bag can be driven again
-        self.constants = numbers(settings)
+        self.constants = numbers(settings, self.Settings)
         self.env = _make(settings)
         try:
             self._encode = action_encoder(

@@ -71,7 +71,7 @@ class MujocoCar(Simulator):
                             f'MUJOCO_GL={os.environ.get("MUJOCO_GL", "")}')
         self._settings = settings
         # by these a bag can be driven again
-        self.constants = numbers(settings)
+        self.constants = numbers(settings, self.Settings)
         self._random = np.random.default_rng()
         self._pictures = Pictures(
             self._mujoco, settings.picture_width, settings.picture_height)
