@@ -119,7 +119,8 @@ class PyRacerz(Simulator):
         self.frame_seconds = settings.steps_per_frame * STEP_SECONDS
         # by these a bag can be driven again; the texts stand in its provenance
         self.constants = {
-            **numbers(settings, self.Settings), 'checkpoints_total': float(self._track.nbCheckpoint)}
+            **numbers(settings, self.Settings),
+            'checkpoints_total': float(self._track.nbCheckpoint)}
         self.description = (f'pyRacerz, {settings.track} {settings.direction}, '
                             f'level {settings.level}')
 
