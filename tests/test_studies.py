@@ -223,8 +223,9 @@ def test_a_search_draws_from_its_space_and_goes_on_with_the_same(folder):
     drawn = [dict(arm.set) for arm in arms]
     assert {values['loss'] for values in drawn} == {'l1', 'huber'}
     assert {type(values['batch_size']) for values in drawn} == {int}
-    assert {values['batch_size'] for values in drawn} > {8, 12} and len(plan(
-        search_of(), tuple(arms), folder)) == 30
+    assert {values['batch_size'] for values in drawn} <= set(range(8, 17))
+    assert len({tuple(values.values()) for values in drawn}) == len(drawn) == len(plan(
+        search_of(), tuple(arms), folder))
     rates = [values['learning_rate'] for values in drawn]
     assert min(rates) < 1e-4 < 1e-3 < max(rates)
     again = Search(search_of(), folder)
@@ -233,6 +234,9 @@ def test_a_search_draws_from_its_space_and_goes_on_with_the_same(folder):
     other.mkdir()
     fresh = Search(search_of(), other)
     assert dict(fresh.draw({}).set) == drawn[0]
+    small = Search(search_of(space={'double': [True, False]}), folder / 'small')
+    (folder / 'small').mkdir()
+    assert [small.draw({}) is None for _ in range(4)] == [False, False, True, True]
     (folder / 'search.json').write_text('{"format": "carracing_dqn search 1", "trials": [{}]}')
     with pytest.raises(StudyError, match='trials of another search'):
         Search(search_of(), folder)

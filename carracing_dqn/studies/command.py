@@ -115,6 +115,8 @@ class _Session:
         yield from self._undone([run for run in self._runs if not only or run.arm in only])
         while self._search and not self._search.complete and not only:
             arm = self._search.draw(self._scores())
+            if arm is None:
+                break
             runs = plan(self._study, (arm,), self._output)
             self._arms.append(arm)
             self._runs += runs

@@ -30,6 +30,8 @@ MAX_BYTES = 2**22
 RANDOM, TPE = 'random', 'tpe'
 # of a number that was drawn
 DIGITS = 4
+# for a trial that is none of those before
+MOST_DRAWS = 200
 
 
 @dataclasses.dataclass(frozen=True)
@@ -122,9 +124,9 @@ class Search:
         """Return whether all trials are drawn."""
         return len(self.arms) >= self._settings.trials
 
-    def draw(self, scores: Mapping[str, float]) -> Arm:
+    def draw(self, scores: Mapping[str, float]) -> Arm | None:
         """
-        Draw the next trial, and keep it.
+        Draw the next trial, and keep it; None when the space seems to have no other one.
 
         Args:
             scores: of the trials that are done, by the name of their arm.
@@ -132,13 +134,9 @@ class Search:
         Raises:
             StudyError: it cannot be kept.
         """
-        number = len(self.arms)
-        if self._settings.sampler == TPE:
-            values = self._chosen(number, scores)
-        else:
-            # of its number alone: a search that goes on draws the same
-            random = np.random.default_rng([self._settings.seed, number])
-            values = {name: own.draw(random) for name, own in self._space.items()}
+        values = self._fresh(len(self.arms), scores)
+        if values is None:
+            return None
         arm = self._add(values)
         try:
             write_text(self._path, json.dumps({
@@ -146,6 +144,21 @@ class Search:
         except OSError as error:
             raise StudyError(f'{self._path}: {error.strerror}') from None
         return arm
+
+    def _fresh(self, number: int, scores: Mapping[str, float]) -> dict[str, Any] | None:
+        """Return values that were not drawn before, None if none are found."""
+        drawn = [dict(arm.set) for arm in self.arms]
+        if self._settings.sampler == TPE:
+            values = self._chosen(number, scores)
+            if values not in drawn:
+                return values
+        # of its number alone: a search that goes on draws the same
+        random = np.random.default_rng([self._settings.seed, number])
+        for _ in range(MOST_DRAWS):
+            values = {name: own.draw(random) for name, own in self._space.items()}
+            if values not in drawn:
+                return values
+        return None
 
     def _add(self, values: dict[str, Any]) -> Arm:
         arm = Arm(f'trial-{len(self.arms):03d}', 'drawn', set=values, seeds=self._seeds)
