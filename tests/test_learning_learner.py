@@ -205,6 +205,32 @@ def test_the_gradient_is_clipped():
     assert clipped.norm().item() == pytest.approx(0.001, rel=1e-3)
 
 
+def test_wider_pixels_learn_as_a_network_that_does_not_scale_them():
+    learner = make_learner(pixel_range=255.0, loss='l1', gradient_clip=0.5)
+    own = learner.online
+    parameters = [parameter.detach().clone() for parameter in own.parameters()]
+    parameters[0] /= 255
+    for parameter in parameters:
+        parameter.requires_grad_(True)
+    adam = torch.optim.Adam(parameters, 1e-3)
+    batch = make_batch(discounts=np.zeros(6, np.float32))
+    for _ in range(4):
+        x = torch.from_numpy(batch.observations).float()
+        x = torch.relu(torch.nn.functional.conv2d(x, *parameters[:2], own.convolutions[0].stride))
+        x = torch.relu(torch.nn.functional.linear(
+            x.permute(0, 2, 3, 1).flatten(1), *parameters[2:4]))
+        q_values = torch.nn.functional.linear(x, *parameters[4:])
+        chosen = q_values[range(6), batch.actions.tolist()]
+        adam.zero_grad()
+        (chosen - torch.from_numpy(batch.rewards)).abs().mean().backward()
+        norm = torch.nn.utils.clip_grad_norm_(parameters, 0.5)
+        adam.step()
+        assert learner.update(batch, 1e-3)['grad_norm'] == pytest.approx(norm.item(), rel=1e-3)
+    parameters[0].detach().mul_(255)
+    for mine, theirs in zip(own.parameters(), parameters):
+        assert torch.allclose(mine, theirs, rtol=1e-3, atol=1e-5)
+
+
 def test_the_target_network_waits():
     learner = make_learner(target_update='updates', target_every=3)
     first = learner.target.hidden.weight.clone()

@@ -47,6 +47,16 @@ def test_the_learning_rate_of_the_report_is_halved_on_plateaus_only():
     assert rate.value == 1e-6
 
 
+def test_a_better_reward_may_bring_the_first_rate_back():
+    rate = LearningRate(Hyperparameters(learning_rate_schedule='plateau_reset'))
+    rate.episode_ended(5.0)
+    for _ in range(400):
+        rate.episode_ended(4.0)
+    assert rate.value == 2.5e-5
+    rate.episode_ended(6.0)
+    assert rate.value == 1e-4
+
+
 def test_a_linear_learning_rate_holds_and_then_falls():
     rate = LearningRate(tiny(
         learning_rate=1e-3, learning_rate_end=1e-4, learning_rate_schedule='linear',

@@ -120,6 +120,15 @@ def test_a_term_that_nobody_publishes_is_refused_by_name_at_the_first_transition
             assert Shaping(tiny()).reward(transition) == 0
 
 
+def test_the_limit_of_frames_may_be_kept_as_done():
+    cut, ended = (make_transition(step=make_step(**{name: 1.0}))
+                  for name in ('truncated', 'terminated'))
+    for flag in (False, True):
+        shaping = Shaping(tiny(truncated_terminal=flag))
+        assert shaping.terminated(cut) is flag and shaping.terminated(ended)
+        assert not shaping.terminated(make_transition())
+
+
 def test_an_early_end_that_is_terminal_needs_to_be_told_of_it():
     shaping = Shaping(tiny(early_end_terminal=True))
     with pytest.raises(LearningError, match="needs 'ended_early'.*early_end_terminal=false"):

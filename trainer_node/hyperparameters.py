@@ -131,6 +131,10 @@ class Hyperparameters:
     gradient_clip: float = setting(
         10.0, 'largest norm of the gradient; the report clips at an unnamed value (2.2.1)',
         low=0.001, high=1e6)
+    pixel_range: float = setting(
+        1.0, 'what a white pixel is to the first layer: 1 scales images to 0..1, 255 leaves them '
+        'as they are, with a layer that starts and learns as for such; the report says nothing '
+        '(2.1)', low=0.01, high=1000.0)
     reward_scale: float = setting(
         1.0, 'factor on the shaped reward before learning', low=1e-6, high=1e6)
     adam_epsilon: float = setting(
@@ -170,8 +174,9 @@ class Hyperparameters:
     learning_rate: float = setting(1e-4, 'first learning rate (2.2.1)', low=1e-9, high=1.0)
     learning_rate_end: float = setting(1e-6, 'least learning rate (2.2.1)', low=0.0, high=1.0)
     learning_rate_schedule: str = setting(
-        'plateau', 'halved when no episode was better for a while (2.2.3), constant, or linear '
-        'over the later part of the run', choices=('plateau', 'constant', 'linear'))
+        'plateau', 'halved when no episode was better for a while (2.2.3), the same and back to '
+        'the first by a better one, constant, or linear over the later part of the run',
+        choices=('plateau', 'plateau_reset', 'constant', 'linear'))
     patience_episodes: int = setting(
         200, 'episodes without a better reward before the learning rate is halved (2.2.3)',
         low=1, high=1_000_000)

@@ -35,7 +35,7 @@ class LearningRateState:
 
 class LearningRate:
     """
-    The learning rate: constant, halved on plateaus, or falling on a line.
+    The learning rate: constant, halved on plateaus (and back), or falling on a line.
 
     Attributes:
         value: the present rate.
@@ -54,14 +54,17 @@ class LearningRate:
         """
         Take note of an episode's reward; on a plateau halve the rate (report, 2.2.3).
 
-        A better reward, or a halving, starts the patience anew.
+        A better reward, or a halving, starts the patience anew; with `plateau_reset` a better
+        reward brings the first rate back, too.
         """
         if self.best_reward is None or reward > self.best_reward:
             self.best_reward = reward
             self.episodes_without_better = 0
+            if self._settings.learning_rate_schedule == 'plateau_reset':
+                self.value = self._settings.learning_rate
             return
         self.episodes_without_better += 1
-        if (self._settings.learning_rate_schedule == 'plateau'
+        if (self._settings.learning_rate_schedule in ('plateau', 'plateau_reset')
                 and self.episodes_without_better >= self._settings.patience_episodes):
             self.value = max(self.value / 2, self._settings.learning_rate_end)
             self.episodes_without_better = 0

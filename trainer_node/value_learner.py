@@ -48,6 +48,7 @@ class ValueLearner:
         description = settings.model_description()
         self.actions = action_values(description.action_space)
         self.online = QNetwork(description).to(self.device)
+        self._widen_pixels()
         self.working = self.online
         self.target = QNetwork(description).to(self.device).requires_grad_(False)
         if settings.bf16:
@@ -65,9 +66,29 @@ class ValueLearner:
         self._parameters = list(self.online.parameters())
         self._working_parameters = list(self.working.parameters())
         self._optimizer = torch.optim.Adam(
-            self._parameters, settings.learning_rate, eps=settings.adam_epsilon, fused=True)
+            self._groups(), settings.learning_rate, eps=settings.adam_epsilon, fused=True)
         self._copy_to_working()
         self._copy_to_target()
+
+    def _groups(self) -> list[Any]:
+        """
+        Return what Adam takes.
+
+        The network scales pixels to 0..1 by way of the first weights. Of wider pixels those would
+        be smaller and their gradients larger: steps so much longer are the same to the outputs.
+        """
+        wide = self.settings.pixel_range
+        if wide == 1:
+            return self._parameters
+        first, *others = self._parameters
+        return [{'params': [first], 'factor': wide, 'eps': self.settings.adam_epsilon / wide},
+                {'params': others}]
+
+    @torch.no_grad()
+    def _widen_pixels(self) -> None:
+        """Start the first layer as one whose pixels are 0 to `pixel_range`."""
+        if self.settings.pixel_range != 1:
+            self.online.convolutions[0].weight.mul_(self.settings.pixel_range)
 
     def _loss(self, batch: Batch) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """
@@ -104,7 +125,7 @@ class ValueLearner:
         if not math.isfinite(result['loss'] + result['grad_norm']):
             raise LearningError(self._explain(batch, result))
         for group in self._optimizer.param_groups:
-            group['lr'] = learning_rate
+            group['lr'] = learning_rate * group.get('factor', 1.0)
         self._optimizer.step()
         self._copy_to_working()
         self.updates += 1
@@ -141,7 +162,11 @@ class ValueLearner:
             wide = [parameter.grad for parameter in self._parameters]
             torch._foreach_copy_(wide, gradients)
             gradients = wide
-        norm = torch.stack(torch._foreach_norm(gradients)).norm()
+        norms = torch._foreach_norm(gradients)
+        if self.settings.pixel_range != 1:
+            # of the layer of wider pixels
+            norms = [norms[0] * self.settings.pixel_range, *norms[1:]]
+        norm = torch.stack(norms).norm()
         if norm > self.settings.gradient_clip:
             torch._foreach_mul_(gradients, self.settings.gradient_clip / norm)
         return norm
