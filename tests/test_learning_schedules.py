@@ -154,7 +154,8 @@ def test_the_report_preset_names_every_number_that_it_could_change():
     from msgs_bridge.share import share_path
     values = yaml.safe_load(share_path('config/report.yaml').read_text())
     unused = {'learning_rate_hold', 'epsilon_decisions', 'standing_growth', 'standing_limit',
-              'tile_missed_limit', 'early_end_terminal', 'quantiles'}
+              'tile_missed_limit', 'early_end_terminal', 'quantiles', 'tuner_step', 'tuner_least',
+              'epsilon_spread'}
     assert set(describe(Hyperparameters)) - set(values) == unused
 
 
