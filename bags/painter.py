@@ -7,7 +7,7 @@ from PIL import Image, ImageDraw, ImageFont
 import numpy as np
 
 from bags.frames import RecordedFrame
-from msgs_bridge.step import Q_VALUE_EXTRAS, Step
+from msgs_bridge.step import Q_VALUE_AXES, Q_VALUE_EXTRAS, Step
 
 PANEL_WIDTH = 320
 MARGIN = 14
@@ -94,7 +94,7 @@ class FramePainter:
     def _q_values(
         self, draw: ImageDraw.ImageDraw, q_values: dict[str, float], left: int, top: int,
     ) -> None:
-        names = [name for name in q_values if name not in Q_VALUE_EXTRAS]
+        names = [name for name in q_values if name not in {**Q_VALUE_EXTRAS, **Q_VALUE_AXES}]
         actions = [(number, name, q_values[name]) for number, name in enumerate(names)]
         if not actions:
             return

@@ -66,10 +66,15 @@ VALIDATION_FIELDS = {
 Q_VALUE_EXTRAS = {
     'chosen': 'index of the output of the action that was sent; of the nearest node of its first '
               'axis, where it has any',
-    'chosen_second': 'where the action space has axes: that of its second axis; -1 for none',
     'explored': '1 when it was drawn at random',
     'weights_version': 'version of the weights that computed them',
 }
+
+Q_VALUE_AXES = {
+    'chosen_second': 'only where the action space has axes: as `chosen`, of the second axis; -1 '
+                     'for none',
+}
+"""What `q_values` has of action spaces with axes beside `Q_VALUE_EXTRAS`."""
 
 # beyond this a reward is no reward: the replay keeps float32, and sums must stay finite
 MAX_REWARD = 1e9

@@ -31,7 +31,7 @@ FIELDS = {
     'step_core': step.STEP_CORE,
     'step_info': step.STEP_INFO,
     'episode_core': step.EPISODE_CORE,
-    'q_value_extras': step.Q_VALUE_EXTRAS,
+    'q_value_extras': {**step.Q_VALUE_EXTRAS, **step.Q_VALUE_AXES},
     'validation': step.VALIDATION_FIELDS,
     'carracing_info': info_fields.STEP_INFO,
     'carracing_constants': info_fields.CONSTANTS,

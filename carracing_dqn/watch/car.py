@@ -22,7 +22,9 @@ from carracing_dqn.watch.series import SeriesTable
 from msgs_bridge.errors import BridgeError
 from msgs_bridge.images import compressed_to_array, image_to_array, MAX_BYTES
 from msgs_bridge.named_values import read_named_values
-from msgs_bridge.step import EPISODE_CORE, Q_VALUE_EXTRAS, read_step, VALIDATION_FIELDS
+from msgs_bridge.step import (
+    EPISODE_CORE, Q_VALUE_AXES, Q_VALUE_EXTRAS, read_step, VALIDATION_FIELDS,
+)
 from msgs_bridge.twists import Command, read_command
 
 IMAGE_TYPES = ('sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage')
@@ -234,7 +236,7 @@ class Car:
         values = read_named_values(decode_bundle(message.data, 'q_values'), Q_VALUE_EXTRAS)
         drive = self.drive
         drive.actions = [(name, value) for name, value in values.items()
-                         if name not in Q_VALUE_EXTRAS][:MAX_ACTIONS]
+                         if name not in {**Q_VALUE_EXTRAS, **Q_VALUE_AXES}][:MAX_ACTIONS]
         chosen = int(values['chosen'])
         drive.chosen = chosen if 0 <= chosen < max(len(drive.actions), 1) else None
         drive.explored = values['explored'] > 0
