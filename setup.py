@@ -12,15 +12,15 @@ PACKAGES = [
     'msgs_bridge', 'msgs_bridge.transport', 'carracing_sim_node', 'dqn_policy_node',
     'trainer_node', 'bags', 'carracing_dqn',
     'carracing_dqn.bringup', 'carracing_dqn.evaluation', 'carracing_dqn.simulation',
-    'carracing_dqn.simulators', 'carracing_dqn.studies', 'carracing_dqn.watch',
-    'carracing_dqn.benchmarks',
+    'carracing_dqn.simulators', 'carracing_dqn.studies', 'carracing_dqn.teleop',
+    'carracing_dqn.watch', 'carracing_dqn.benchmarks',
 ]
 EXECUTABLES = (
     'carracing', 'carracing_sim_node', 'dqn_policy_node', 'trainer_node', 'validation_node',
     'bag_recorder_node', 'bag_player_node', 'gymnasium_sim_node', 'mujoco_robot_node',
-    'referee_node',
+    'referee_node', 'image_annotator_node', 'teleop_node',
 )
-SHARED = ('launch', 'config', 'models')
+SHARED = ('launch', 'config', 'models', 'layouts')
 
 
 def shared_files():
@@ -77,6 +77,8 @@ setup(
             'colcon-core', 'colcon-ros', 'hypothesis', 'mcap-ros2-support', 'pytest', 'ruff'],
         # to look at the pages of `carracing watch` as a browser shows them
         'browser': ['playwright'],
+        # `carracing view`
+        'rerun': ['rerun-sdk'],
         'tensorboard': ['tensorboard'],
         # `carracing study` with the sampler tpe
         'search': ['optuna'],

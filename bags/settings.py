@@ -7,6 +7,7 @@ from collections.abc import Callable
 import dataclasses
 
 from msgs_bridge.settings import setting
+from msgs_bridge.topics import IMAGE_ANNOTATED
 
 from bags.compression import COMPRESSIONS
 from bags.errors import BagError
@@ -23,7 +24,9 @@ class RecorderSettings:
         '', 'new folder of the bag; empty = bag_ and the time of day in the current folder')
     topics: str = setting(
         ALL, 'topics to record, separated by commas; all = every topic, as it appears')
-    exclude: str = setting('', 'topics not to record, separated by commas')
+    exclude: str = setting(
+        IMAGE_ANNOTATED.name, 'topics not to record, separated by commas; the annotated picture '
+        'is made of the others, and only while somebody takes it')
     compression: str = setting(
         'lz4', 'compression of the chunks', choices=tuple(COMPRESSIONS))
     chunk_bytes: int = setting(

@@ -69,6 +69,14 @@ DIAGNOSTICS = Topic('/diagnostics', 'diagnostic_msgs/msg/DiagnosticArray', 'ever
 
 TOPICS = (IMAGE, STEP, REWARD, EPISODE, CMD_VEL, Q_VALUES, WEIGHTS, VALIDATION, CLOCK, DIAGNOSTICS)
 
+IMAGE_ANNOTATED = Topic('image_annotated', 'sensor_msgs/msg/Image', 'image_annotator_node', 5,
+                        'the camera beside Q-values, action, reward, return and speed; painted '
+                        'only while somebody subscribes')
+JOY = Topic('joy', 'sensor_msgs/msg/Joy', 'a joystick', 10, 'what `joy_node` of ROS publishes')
+
+VIEW_TOPICS = (IMAGE_ANNOTATED, JOY)
+"""For people who look and drive; no part of the contract."""
+
 # what a referee judges a robot by; REP-105 names the frames
 ODOMETRY = Topic('odom', 'nav_msgs/msg/Odometry', 'a robot', BURST_DEPTH,
                  'where it is; stamped by the clock of `image_raw`')

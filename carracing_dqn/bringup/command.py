@@ -27,6 +27,7 @@ SUBCOMMANDS = {
                  'greedy laps on seeded tracks in the unmodified environment'),
     'watch': ('carracing_dqn.bringup.watch_command',
               'the live graph or a bag on one screen, in the terminal or in the browser'),
+    'view': ('carracing_dqn.bringup.view_command', 'a bag or the live graph in Rerun'),
     'doctor': ('carracing_dqn.bringup.doctor_command',
                'what of this machine and of the graph is not as it should be, and what mends it'),
     'check': ('carracing_dqn.bringup.check_command',

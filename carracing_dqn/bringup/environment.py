@@ -17,7 +17,7 @@ import sys
 from msgs_bridge.atomic_write import write_text
 
 PACKAGE = 'carracing_dqn'
-SHARED = ('package.xml', 'config', 'models')
+SHARED = ('package.xml', 'config', 'models', 'layouts')
 SETUP_BASH = """\
 # source this file: it puts carracing_dqn and its nodes where ROS tools look for them
 prefix="$(cd "$(dirname "${BASH_SOURCE[0]:-$0}")" && pwd)"

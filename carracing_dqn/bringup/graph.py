@@ -64,13 +64,20 @@ REFEREE = NodeKind(
     'referee_node', 'referee', 'carracing_dqn.simulation.referee_node',
     'carracing_dqn.simulation.referee_settings:RefereeSettings')
 
+ANNOTATOR = NodeKind(
+    'image_annotator_node', 'annotator', 'carracing_dqn.watch.annotator_node',
+    'carracing_dqn.watch.annotator_settings:AnnotatorSettings', nice=5)
+TELEOP = NodeKind(
+    'teleop_node', 'teleop', 'carracing_dqn.teleop.teleop_node',
+    'carracing_dqn.teleop.settings:TeleopSettings')
+
 CAR = 'car_'
 """Begins the namespaces of cars, which go on with their number."""
 
 # a prime, so that cars do not meet the seeds of neighbouring runs soon
 SEEDS_APART = 1_000_003
 
-KINDS = (SIMULATOR, POLICY, TRAINER, VALIDATOR, RECORDER, PLAYER, REFEREE)
+KINDS = (SIMULATOR, POLICY, TRAINER, VALIDATOR, RECORDER, PLAYER, REFEREE, ANNOTATOR, TELEOP)
 """Every node of the package."""
 
 

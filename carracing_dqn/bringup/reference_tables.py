@@ -19,7 +19,7 @@ from carracing_sim_node import info_fields
 from msgs_bridge import step
 from msgs_bridge.atomic_write import write_text
 from msgs_bridge.settings import markdown_table
-from msgs_bridge.topics import ROBOT_TOPICS, Topic, TOPICS
+from msgs_bridge.topics import ROBOT_TOPICS, Topic, TOPICS, VIEW_TOPICS
 
 SETTINGS = {
     'every_node': ('msgs_bridge.node_shell', 'ShellSettings'),
@@ -36,7 +36,7 @@ FIELDS = {
     'carracing_info': info_fields.STEP_INFO,
     'carracing_constants': info_fields.CONSTANTS,
 }
-TOPIC_TABLES = {'topics': TOPICS, 'robot_topics': ROBOT_TOPICS}
+TOPIC_TABLES = {'topics': TOPICS, 'robot_topics': ROBOT_TOPICS, 'view_topics': VIEW_TOPICS}
 MARKED = re.compile(r'(<!-- table: (\w+) -->\n).*?(<!-- end -->)', re.DOTALL)
 
 

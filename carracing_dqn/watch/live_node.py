@@ -26,7 +26,7 @@ from msgs_bridge.errors import MessageError
 from msgs_bridge.listening_node import ListeningNode
 from msgs_bridge.message_types import message_class
 from msgs_bridge.plain_text import plain
-from msgs_bridge.topics import CMD_VEL, DIAGNOSTICS, TOPICS
+from msgs_bridge.topics import CMD_VEL, DIAGNOSTICS, IMAGE_ANNOTATED, TOPICS
 from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.parameter import Parameter, parameter_value_to_python
@@ -177,6 +177,9 @@ class LiveSource(ListeningNode):
                 self._node.destroy_subscription(ear.subscription)
                 self._ears[name] = self._listen(name, ear.type_name, publishers, now)
                 self._ears[name].renewed = True
+            return
+        if name.rpartition('/')[2] == IMAGE_ANNOTATED.name:
+            # it is painted only if somebody takes it
             return
         if not publishers or len(self._ears) >= MAX_SUBSCRIPTIONS or (
                 (name, ends.type_name) in self._refused):

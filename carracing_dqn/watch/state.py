@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+import dataclasses
 import math
 import threading
 from typing import Any
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from bags.decode import decode
-from carracing_dqn.watch.car import Car, IMAGE_TYPES, message_of, ROLES, TWIST_TYPES
+from carracing_dqn.watch.car import Car, Drive, IMAGE_TYPES, message_of, ROLES, TWIST_TYPES
 from carracing_dqn.watch.causes import causes
 from carracing_dqn.watch.graph_parts import Node, Topic, TopicEnds
 from msgs_bridge.errors import BridgeError
@@ -153,6 +154,12 @@ class WatchState:
                 'switches': self._switches(car),
                 **_show_car(car, now, list(plots)),
             }
+
+    def drive(self, namespace: str | None = None) -> Drive | None:
+        """Return a copy of what is known of a car's drive, None where there is no car."""
+        with self._lock:
+            car = self._car(namespace)
+            return None if car is None else dataclasses.replace(car.drive)
 
     def pixels(self, namespace: str | None = None) -> np.ndarray | None:
         """Return the picture of a car, uint8 (H, W, 3) rgb, None where there is none."""

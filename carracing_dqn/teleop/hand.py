@@ -1,0 +1,113 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""From keys and the axes of a joystick to commands."""
+from __future__ import annotations
+
+from collections.abc import Sequence
+import math
+
+from carracing_dqn.teleop.settings import HandSettings
+from msgs_bridge.errors import MessageError
+from msgs_bridge.twists import Command, STOP
+
+UP, DOWN, LEFT, RIGHT, LET_GO = 'up', 'down', 'left', 'right', 'let go'
+# what terminals send: arrows in both of their modes, and letters
+KEYS = {
+    b'\x1b[A': UP, b'\x1b[B': DOWN, b'\x1b[C': RIGHT, b'\x1b[D': LEFT,
+    b'\x1bOA': UP, b'\x1bOB': DOWN, b'\x1bOC': RIGHT, b'\x1bOD': LEFT,
+    b'w': UP, b's': DOWN, b'a': LEFT, b'd': RIGHT, b' ': LET_GO,
+}
+LONGEST = max(map(len, KEYS))
+
+
+def keys_of(data: bytes) -> list[str]:
+    """Return the keys in what a terminal sent; what is none of them is passed over."""
+    found = []
+    while data:
+        for length in range(LONGEST, 0, -1):
+            if data[:length] in KEYS:
+                found.append(KEYS[data[:length]])
+                break
+        else:
+            length = 1
+        data = data[length:]
+    return found
+
+
+class Keyboard:
+    """A pedal that stays where it is, and steering that is let go by itself."""
+
+    def __init__(self, settings: HandSettings) -> None:
+        """Let go of everything."""
+        self._settings = settings
+        self._linear = self._angular = 0.0
+        self._steered_at = -math.inf
+
+    def press(self, key: str, now: float) -> None:
+        """Take a key at a time in s."""
+        step, lock = self._settings.key_step, self._settings.key_steering
+        if key == LET_GO:
+            self._linear = self._angular = 0.0
+        elif key in (UP, DOWN):
+            self._linear = max(-1.0, min(1.0, self._linear + (step if key == UP else -step)))
+            # sums of 0.2 that come back to 0 are 0
+            self._linear = round(self._linear, 6)
+        else:
+            self._angular = lock if key == LEFT else -lock
+            self._steered_at = now
+
+    def command(self, now: float) -> Command:
+        """Return what is wanted at a time in s."""
+        held = now - self._steered_at <= self._settings.key_hold
+        return Command(self._linear, self._angular if held else 0.0)
+
+
+class Joystick:
+    """The axes and buttons of a sensor_msgs/Joy."""
+
+    def __init__(self, settings: HandSettings) -> None:
+        """Nothing has come yet."""
+        self._settings = settings
+        self._command = STOP
+        self.heard_at = -math.inf
+
+    def take(self, axes: Sequence[float], buttons: Sequence[int], now: float) -> None:
+        """
+        Take a message at a time in s.
+
+        Raises:
+            MessageError: it lacks an axis or the button, or an axis is no number.
+        """
+        settings = self._settings
+        linear = self._axis(axes, settings.linear_axis)
+        angular = self._axis(axes, settings.angular_axis)
+        button = settings.deadman_button
+        if button >= len(buttons):
+            raise MessageError(f'joy has {len(buttons)} buttons; deadman_button is {button}')
+        held = button < 0 or bool(buttons[button])
+        self._command = Command(linear, angular) if held else STOP
+        self.heard_at = now
+
+    def command(self, now: float) -> Command:
+        """Return what is wanted at a time in s; nothing once it has fallen silent."""
+        fresh = now - self.heard_at <= self._settings.stale_after
+        return self._command if fresh else STOP
+
+    def _axis(self, axes: Sequence[float], number: int) -> float:
+        if number < 0:
+            return 0.0
+        if number >= len(axes):
+            raise MessageError(f'joy has {len(axes)} axes; number {number} is wanted')
+        value = float(axes[number])
+        if not math.isfinite(value):
+            raise MessageError(f'axis {number} of joy is {value}')
+        zone = self._settings.dead_zone
+        if abs(value) <= zone:
+            return 0.0
+        # from the edge of the dead zone on, so that nothing jumps there
+        return math.copysign(min(1.0, (abs(value) - zone) / (1 - zone)), value)
+
+
+def joined(first: Command, second: Command) -> Command:
+    """Return two hands as one: where both say something, the larger counts."""
+    return Command(*(max(pair, key=abs) for pair in zip(first, second)))

@@ -1,0 +1,88 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""A bag or a live graph in Rerun (the extra `rerun`)."""
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+import time
+from typing import NamedTuple
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from bags.frames import recorded_frames
+from bags.reader import BagReader
+from carracing_dqn.watch.layouts import PLOTS
+from carracing_dqn.watch.source import Source
+from msgs_bridge.stamps import NANOSECONDS
+from msgs_bridge.step import Q_VALUE_EXTRAS
+
+APPLICATION = 'carracing_dqn'
+LIVE_SECONDS = 0.1
+
+
+class Moment(NamedTuple):
+    """A picture, uint8 (H, W, 3) or None, with the values of its stamp in ns."""
+
+    stamp: int
+    pixels: np.ndarray | None
+    step: Mapping[str, float]
+    q_values: Mapping[str, float]
+
+
+def open_view(save: str | None) -> rr.RecordingStream:
+    """Return where to show: a window, or a file."""
+    view = rr.RecordingStream(APPLICATION)
+    if save is None:
+        view.spawn()
+    else:
+        view.save(save)
+    view.send_blueprint(blueprint())
+    return view
+
+
+def blueprint() -> rrb.Blueprint:
+    """Return the layout: the picture, and the same plots as in the other layouts."""
+    return rrb.Blueprint(rrb.Horizontal(
+        rrb.Spatial2DView(origin='/camera', name='camera'),
+        rrb.Vertical(
+            *(rrb.TimeSeriesView(
+                name=plot.title, contents=[f'/step/{name}' for name in plot.values])
+              for plot in PLOTS),
+            rrb.TimeSeriesView(name='Q-values', origin='/q_values')),
+        column_shares=[2, 3]))
+
+
+def show(view: rr.RecordingStream, moments: Iterable[Moment]) -> int:
+    """Show moments as they come; return how many there were."""
+    shown = 0
+    for moment in moments:
+        view.set_time('stamp', duration=moment.stamp / NANOSECONDS)
+        if moment.pixels is not None:
+            view.log('camera', rr.Image(np.ascontiguousarray(moment.pixels)))
+        for bundle, values in (('step', moment.step), ('q_values', moment.q_values)):
+            for name, value in values.items():
+                # in parts, so that nothing in a name is taken for a path
+                view.log([bundle, name], rr.Scalars(value))
+        shown += 1
+    view.flush()
+    return shown
+
+
+def of_bag(reader: BagReader, namespace: str) -> Iterator[Moment]:
+    """Yield the frames of a bag; raises BagError, MessageError."""
+    for frame in recorded_frames(reader, namespace=namespace):
+        yield Moment(frame.stamp, frame.pixels, frame.step.values(), {
+            name: value for name, value in frame.q_values.items() if name not in Q_VALUE_EXTRAS})
+
+
+def of_graph(source: Source, namespace: str | None) -> Iterator[Moment]:
+    """Yield what is newest of a live graph, some times a second, for ever."""
+    number = 0
+    while True:
+        time.sleep(LIVE_SECONDS)
+        drive = source.state.drive(namespace)
+        if drive is not None and drive.stamp not in (None, number):
+            number = drive.stamp
+            yield Moment(drive.stamp, drive.pixels, drive.step, dict(drive.actions))
