@@ -10,6 +10,7 @@ from carracing_dqn.studies.bootstrap import estimate, interquartile_mean
 from carracing_dqn.studies.outcome import Curve, Outcome, scores_of
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import EngFormatter, MaxNLocator
 import numpy as np
 
 PLACES = 200
@@ -52,11 +53,15 @@ def draw(
         figure = style.new_figure(size)
         left, right = figure.subplots(1, 2, width_ratios=(3, 2))
         for number, (name, outcomes) in enumerate(_shown(arms).items()):
-            colour = style.RUN_COLOURS[number % len(style.RUN_COLOURS)]
-            dash = style.RUN_DASHES[number % len(style.RUN_DASHES)]
+            again, place = divmod(number, len(style.RUN_COLOURS))
+            colour = style.RUN_COLOURS[place]
+            # arms of one colour differ in their dashes
+            dash = style.RUN_DASHES[(place + again) % len(style.RUN_DASHES)]
             _curve(left, name, outcomes, colour, dash)
             _scores(right, number, outcomes, colour)
         left.set_xlabel(against)
+        left.xaxis.set_major_locator(MaxNLocator(6))
+        left.xaxis.set_major_formatter(EngFormatter(sep=''))
         left.set_ylabel('training return, mean of 20')
         names = list(_shown(arms))
         right.set_yticks(range(len(names)), [name[:28] for name in names])
