@@ -2,12 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """The ament_python package; what `ros2 run` and `carracing` start is listed here."""
 from pathlib import Path
+from xml.etree import ElementTree
 
 from setuptools import setup
 
 NAME = 'carracing_dqn'
 # colcon --symlink-install runs a link to this file from its build folder
-README = Path(__file__).resolve().with_name('README.md')
+HERE = Path(__file__).resolve().parent
+README = HERE / 'README.md'
+# the one place of the version; ROS reads it there
+VERSION = ElementTree.parse(HERE / 'package.xml').findtext('version')
 PACKAGES = [
     'msgs_bridge', 'msgs_bridge.transport', 'carracing_sim_node', 'dqn_policy_node',
     'trainer_node', 'bags', 'carracing_dqn',
@@ -33,7 +37,7 @@ def shared_files():
 
 setup(
     name=NAME,
-    version='0.1.0',
+    version=VERSION,
     description='A ROS 2 stack that learns to race',
     long_description=README.read_text(encoding='utf-8'),
     long_description_content_type='text/markdown',

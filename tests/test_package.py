@@ -90,3 +90,12 @@ def test_colcon_builds_it_as_an_ament_python_package(tmp_path, options):
     assert {path.name for path in (built / 'lib' / 'carracing_dqn').iterdir()} == set(
         executables())
     assert (built / 'share' / 'carracing_dqn' / 'launch' / 'race.launch.py').is_file()
+
+
+def test_the_version_stands_in_one_place():
+    version = ElementTree.parse(ROOT / 'package.xml').findtext('version')
+    said = subprocess.run([sys.executable, '-m', 'carracing_dqn.bringup', '--version'],
+                          capture_output=True, text=True, cwd=ROOT)
+    assert said.returncode == 0 and said.stdout.startswith(f'carracing {version}')
+    assert f"'{version}'" not in (ROOT / 'setup.py').read_text()
+    assert (ROOT / 'CHANGELOG.md').read_text().count(f'## {version}') == 1

@@ -64,12 +64,12 @@ def main(arguments: list[str] | None = None) -> int:
         show(f'playback at {1e9 / PLAY_PERIOD_NS:.0f} decisions/s: timing error '
              f'p50 {figures["play"]["p50_ms"]:.3f} ms, p99 {figures["play"]["p99_ms"]:.3f} ms')
         if options.recorder:
-            from carracing_dqn.benchmarks.recorder_cost import recorder_cost
+            from carracing_dqn.benchmarks.listener_cost import recorder_cost
             cost = figures['recorder'] = recorder_cost(Path(folder))
             show(f'lockstep with the recorder {cost["decisions_per_second_with"]:.0f} '
                  f'decisions/s, without {cost["decisions_per_second_without"]:.0f}: it takes '
                  f'{cost["cost_percent"]:.1f} ± {cost["cost_percent_error"]:.1f} %, '
-                 f'{cost["recorder_cpu_percent"]:.1f} % of a core, '
+                 f'{cost["cpu_percent"]:.1f} % of a core, '
                  f'{cost["steps_missing"]} steps missing')
     if options.json:
         Path(options.json).write_text(json.dumps(figures, indent=2) + '\n', encoding='utf-8')

@@ -12,6 +12,7 @@ import sys
 from typing import NoReturn
 
 from msgs_bridge.errors import BridgeError
+from msgs_bridge.machine import code_version
 from msgs_bridge.plain_text import plain
 
 SUBCOMMANDS = {
@@ -86,7 +87,13 @@ def main(words: list[str] | None = None) -> int:
 
 
 def _run(words: list[str]) -> int:
+    if words == ['--version']:
+        # in a checkout it asks git, which nobody else need wait for
+        sys.stdout.write(f'carracing {code_version()}\n')
+        return 0
     parser = Parser(prog='carracing', description=__doc__)
+    parser.add_argument('--version', action='store_true',
+                        help='print the version, and in a checkout the commit')
     subparsers = parser.add_subparsers(dest='subcommand', metavar='COMMAND')
     for name, (module_name, text) in SUBCOMMANDS.items():
         subparser = subparsers.add_parser(name, help=text, description=text)

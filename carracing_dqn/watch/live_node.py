@@ -18,7 +18,7 @@ from bags.graph_names import NamesHidden, topic_names
 from carracing_dqn.watch.car import IMAGE_TYPES, TWIST_TYPES
 from carracing_dqn.watch.commands import calls, COMMANDS
 from carracing_dqn.watch.graph_parts import End, Misfit, TopicEnds
-from carracing_dqn.watch.state import WatchState
+from carracing_dqn.watch.state import MAX_TOPICS, WatchState
 from dqn_policy_node.settings import PolicySettings
 from msgs_bridge import matching
 from msgs_bridge.adaptive_subscription import PolledGroup
@@ -37,13 +37,13 @@ from std_srvs.srv import SetBool, Trigger
 
 NAME = 'carracing_watch'
 # seconds from one look at the messages to the next, and from one look at the graph
-LOOK_SECONDS, GRAPH_SECONDS = 0.2, 1.0
-POLL_SECONDS = 0.05
+LOOK_SECONDS, GRAPH_SECONDS = 0.25, 1.0
+POLL_SECONDS = 0.1
 PARAMETER_SECONDS = 5.0
 # a node that says nothing of itself is left alone so long, one that never was well longer
 QUIET_SECONDS, UNWELL_SECONDS = 4.0, 12.0
 # messages that wait in the middleware: two images, to see how the picture moves
-IMAGE_DEPTH, DEPTH, LATCHED_DEPTH, HEALTH_DEPTH = 2, 30, 20, 100
+IMAGE_DEPTH, DEPTH, LATCHED_DEPTH, HEALTH_DEPTH = 2, 50, 20, 100
 MAX_SUBSCRIPTIONS = 60
 # a subscription that has heard and hears no more is made anew once; seconds
 DEAF_SECONDS = 5.0
@@ -120,8 +120,10 @@ class LiveSource(ListeningNode):
         self._executor.spin_once(timeout_sec=POLL_SECONDS)
         now = self.now()
         if now >= self._graph_at:
-            self._graph_at = now + GRAPH_SECONDS
             self._look_at_graph(now)
+            # of a graph of hundreds of topics it takes a while, and not more than a tenth of it
+            after = self.now()
+            self._graph_at = after + max(GRAPH_SECONDS, 9 * (after - now))
         self._poll(now)
         if now >= self._look_at:
             self._look_at = now + LOOK_SECONDS
@@ -143,9 +145,9 @@ class LiveSource(ListeningNode):
             names = error.names
         services = {name for name, _ in node.get_service_names_and_types()}
         found: dict[str, tuple[TopicEnds, list[TopicEndpointInfo]]] = {}
-        for name in sorted(names):
-            if name in LEFT_OUT or any(part.startswith('_') for part in name.split('/')):
-                continue
+        shown = sorted(name for name in names if name not in LEFT_OUT and not any(
+            part.startswith('_') for part in name.split('/')))
+        for name in shown[:MAX_TOPICS]:
             publishers, subscriptions = (
                 [end for end in find(node, name) if matching.full_name(end) != self._full_name]
                 for find in (matching.publishers_of, matching.subscriptions_of))

@@ -1,14 +1,15 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
 """
-What the recorder takes off the decisions per second of a lockstep run.
+What a program that listens takes off the decisions per second of a lockstep run.
 
-Simulator and random policy run all the time, which is the fastest lockstep run there is; a
-recorder comes and goes, so that with and without alternate within one run.
+Simulator and random policy run all the time, which is the fastest lockstep run there is; the
+listener comes and goes, so that with and without alternate within one run.
 """
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 import os
 from pathlib import Path
 import signal
@@ -22,7 +23,7 @@ from bags.reader import BagReader
 from msgs_bridge.before_rclpy import before_rclpy
 from msgs_bridge.topics import STEP
 
-# seconds that a recorder has to start and to settle, or to be gone
+# seconds that it has to start and to settle, or to be gone
 SETTLE = 2.5
 STOP_SECONDS = 5.0
 START_SECONDS = 60.0
@@ -30,21 +31,26 @@ START_SECONDS = 60.0
 DOMAIN = 97
 
 
-def recorder_cost(folder: Path, *, rounds: int = 12, seconds: float = 4.0) -> dict[str, Any]:
+def listener_cost(
+    begin: Callable[[int], subprocess.Popen], *, rounds: int = 12, seconds: float = 4.0,
+    settle: float = SETTLE, after: Callable[[int], None] = lambda _: None,
+) -> dict[str, Any]:
     """
-    Return decisions/s with and without a recorder, and what the recorder lost and needed.
+    Return decisions/s with and without a program that listens, and the time it needed.
 
     Args:
-        folder: for the bags.
-        rounds: how often the recorder comes and goes, at least 2.
+        begin: starts it; gets the number of the round.
+        rounds: how often it comes and goes, at least 2.
         seconds: length of one measurement.
+        settle: seconds that it has to start and to settle.
+        after: called when it has ended.
     """
     os.environ['ROS_DOMAIN_ID'] = str(DOMAIN)
     before_rclpy()
-    simulator = _start('carracing_sim_node.node', seed=42)
-    policy = _start('dqn_policy_node.node', model='random')
+    simulator = start_node('carracing_sim_node.node', seed=42)
+    policy = start_node('dqn_policy_node.node', model='random')
     rates: dict[str, list[float]] = {'without': [], 'with': []}
-    cpu, lost, messages = [], 0, 0
+    cpu = []
     counter = _StepCounter()
     try:
         deadline = time.monotonic() + START_SECONDS
@@ -53,16 +59,13 @@ def recorder_cost(folder: Path, *, rounds: int = 12, seconds: float = 4.0) -> di
                 raise TimeoutError(f'the simulator did not drive within {START_SECONDS:.0f} s')
         rates['without'].append(counter.rate(seconds))
         for number in range(rounds):
-            bag = folder / f'round_{number}'
-            recorder = _start('bags.recorder_node', folder=str(bag))
-            counter.rate(SETTLE)
-            before = _cpu_seconds(recorder)
+            listener = begin(number)
+            counter.rate(settle)
+            before = _cpu_seconds(listener)
             rates['with'].append(counter.rate(seconds))
-            cpu.append((_cpu_seconds(recorder) - before) / seconds)
-            _stop(recorder)
-            with BagReader(bag) as reader:
-                messages += reader.message_count
-                lost += sum(_missing(reader).values())
+            cpu.append((_cpu_seconds(listener) - before) / seconds)
+            _stop(listener)
+            after(number)
             counter.rate(1.0)
             rates['without'].append(counter.rate(seconds))
     finally:
@@ -71,17 +74,32 @@ def recorder_cost(folder: Path, *, rounds: int = 12, seconds: float = 4.0) -> di
             _stop(process)
     # neighbours in time are compared, because other work on the machine comes and goes
     without = rates['without']
-    costs = [100 * (1 - 2 * on / (before + after))
-             for on, before, after in zip(rates['with'], without, without[1:])]
+    costs = [100 * (1 - 2 * on / (before + after_it))
+             for on, before, after_it in zip(rates['with'], without, without[1:])]
     return {
         'decisions_per_second_without': statistics.median(rates['without']),
         'decisions_per_second_with': statistics.median(rates['with']),
         'cost_percent': statistics.mean(costs),
         'cost_percent_error': statistics.stdev(costs) / rounds ** 0.5,
         'cost_percent_by_round': costs,
-        'recorder_cpu_percent': 100 * statistics.median(cpu),
-        'messages_recorded': messages, 'steps_missing': lost,
+        'cpu_percent': 100 * statistics.median(cpu),
     }
+
+
+def recorder_cost(folder: Path, *, rounds: int = 12, seconds: float = 4.0) -> dict[str, Any]:
+    """Return what a recorder with bags in a folder costs, and what it lost."""
+    messages = lost = 0
+
+    def look(number: int) -> None:
+        nonlocal messages, lost
+        with BagReader(folder / f'round_{number}') as reader:
+            messages += reader.message_count
+            lost += sum(_missing(reader).values())
+
+    figures = listener_cost(
+        lambda number: start_node('bags.recorder_node', folder=str(folder / f'round_{number}')),
+        rounds=rounds, seconds=seconds, after=look)
+    return {**figures, 'messages_recorded': messages, 'steps_missing': lost}
 
 
 class _StepCounter:
@@ -92,7 +110,7 @@ class _StepCounter:
         from diagnostic_msgs.msg import DiagnosticArray
         self._rclpy = rclpy
         rclpy.init()
-        self._node = rclpy.create_node('recorder_cost')
+        self._node = rclpy.create_node('listener_cost')
         self._rates: list[float] = []
         self._skip = 0
         self._node.create_subscription(DiagnosticArray, '/diagnostics', self._take, 10)
@@ -121,7 +139,8 @@ class _StepCounter:
                                 if pair.key == 'decisions_per_second']
 
 
-def _start(module: str, **parameters: Any) -> subprocess.Popen:
+def start_node(module: str, **parameters: Any) -> subprocess.Popen:
+    """Start a node with parameters, in silence."""
     command = [sys.executable, '-m', module, '--ros-args']
     for name, value in parameters.items():
         command += ['-p', f'{name}:={value}']
