@@ -12,9 +12,10 @@ from rosbags.typesys import get_typestore, Stores
 from rosbags.typesys.store import Typestore
 
 from bags.errors import BagError
-from msgs_bridge.images import image_to_array
+from msgs_bridge.images import compressed_to_array, image_to_array
 from msgs_bridge.named_values import read_named_values
 from msgs_bridge.stamps import to_nanoseconds
+from msgs_bridge.topics import COMPRESSED_TYPE, IMAGE
 
 
 class Bundle(NamedTuple):
@@ -68,13 +69,21 @@ def decode_bundle(data: Any, what: str) -> Bundle:
                   tuple(message.position.tolist()))
 
 
-def decode_image(data: Any, what: str) -> tuple[int, np.ndarray]:
+def decode_image(
+    data: Any, what: str, type_name: str = IMAGE.type_name,
+) -> tuple[int, np.ndarray]:
     """
-    Return stamp in ns and pixels, uint8 (H, W, 3) rgb, read-only; `what` names it in errors.
+    Return stamp in ns and pixels, uint8 (H, W, 3) rgb, read-only.
+
+    Args:
+        data: the message.
+        what: names it in errors.
+        type_name: its type, `topics.COMPRESSED_TYPE` for a compressed one.
 
     Raises:
-        BagError: the bytes are not an Image.
+        BagError: the bytes are not of that type.
         MessageError: an image that cannot be used.
     """
-    message = decode(data, 'sensor_msgs/msg/Image', what)
-    return to_nanoseconds(message.header.stamp), image_to_array(message)
+    message = decode(data, type_name, what)
+    pixels = (compressed_to_array if type_name == COMPRESSED_TYPE else image_to_array)(message)
+    return to_nanoseconds(message.header.stamp), pixels

@@ -78,7 +78,9 @@ class _Stream:
 
 
 def _images(reader: BagReader, name: str) -> _Stream:
-    return _Stream(decode_image(message.data, name) for message in reader.messages([name]))
+    type_name = reader.topics[name].type_name
+    return _Stream(decode_image(message.data, name, type_name)
+                   for message in reader.messages([name]))
 
 
 def _q_values(reader: BagReader, name: str | None) -> _Stream:

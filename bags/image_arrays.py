@@ -11,7 +11,7 @@ from bags.topic_lookup import need_topic
 from bags.decode import decode_image
 from bags.errors import BagError
 from bags.reader import BagReader
-from msgs_bridge.topics import IMAGE
+from msgs_bridge.topics import COMPRESSED_TYPE, IMAGE
 
 
 def bag_images(
@@ -34,10 +34,10 @@ def bag_images(
     name = topic or need_topic(reader, IMAGE, namespace=namespace)
     messages = reader.messages([name])
     type_name = reader.topics[name].type_name
-    if type_name != IMAGE.type_name:
+    if type_name not in (IMAGE.type_name, COMPRESSED_TYPE):
         raise BagError(f'{name} is of type {type_name}; expected {IMAGE.type_name}')
     for message in messages:
-        yield decode_image(message.data, name)
+        yield decode_image(message.data, name, type_name)
 
 
 def load_images(

@@ -5,10 +5,14 @@ from __future__ import annotations
 
 from bags.errors import BagError
 from bags.reader import BagReader
-from msgs_bridge.topics import CMD_VEL, Topic
+from msgs_bridge.topics import CMD_VEL, COMPRESSED_TYPE, IMAGE, Topic
 
 # cmd_vel may be published without a stamp
 TWIST = 'geometry_msgs/msg/Twist'
+
+
+# what may stand in place of the contract's types
+OTHER_TYPES = {CMD_VEL: (TWIST,), IMAGE: (COMPRESSED_TYPE,)}
 
 
 def find_topic(reader: BagReader, topic: Topic, *, namespace: str = '') -> str | None:
@@ -23,7 +27,7 @@ def find_topic(reader: BagReader, topic: Topic, *, namespace: str = '') -> str |
     Raises:
         BagError: several namespaces have it and none was chosen.
     """
-    types = {topic.type_name} | ({TWIST} if topic is CMD_VEL else set())
+    types = {topic.type_name, *OTHER_TYPES.get(topic, ())}
     tail = '/' + topic.name.lstrip('/')
     place = '/' + namespace.strip('/') if namespace.strip('/') else None
     found = [

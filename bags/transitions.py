@@ -64,7 +64,8 @@ def _transitions(
     for message in reader.messages(wanted):
         try:
             if message.topic == images:
-                joined = joiner.add_image(*decode_image(message.data, images))
+                joined = joiner.add_image(*decode_image(
+                    message.data, images, reader.topics[images].type_name))
             elif message.topic == steps:
                 stamp, step = decode_step(message.data, steps)
                 joined = [] if twists is not None else _applied(joiner, step)

@@ -75,7 +75,7 @@ class DqnPolicyNode(NodeShell):
         # only the newest matters: an old image has no use any more, nor have old weights
         self._images = self.subscription(
             topics.IMAGE, self._on_image, eager=True, newest=True,
-            type_name='sensor_msgs/msg/CompressedImage' if settings.camera_compressed else None)
+            type_name=topics.COMPRESSED_TYPE if settings.camera_compressed else None)
         self._weights = self.subscription(
             topics.WEIGHTS, self._on_weights, depth=WEIGHTS_DEPTH, newest=True,
         ) if settings.hot_swap else None

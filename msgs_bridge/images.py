@@ -95,6 +95,22 @@ def _check_size(width: int, height: int) -> None:
         raise MessageError(f'image of {width}x{height}; accepted: 1 to {MAX_SIDE} a side')
 
 
+def fill_compressed_image(
+    message: object, pixels: np.ndarray, stamp: int, frame_id: str,
+) -> object:
+    """Fill a CompressedImage with rgb pixels, uint8 (H, W, 3), as png: without loss; return it."""
+    from PIL import Image
+
+    set_stamp(message.header.stamp, stamp)
+    message.header.frame_id = frame_id
+    message.format = 'png'
+    packed = io.BytesIO()
+    # the fastest level: the others save a tenth more, in twice the time
+    Image.fromarray(pixels).save(packed, 'PNG', compress_level=1)
+    message.data = packed.getvalue()
+    return message
+
+
 def fill_image(message: object, pixels: np.ndarray, stamp: int, frame_id: str) -> object:
     """Fill an Image with rgb pixels, uint8 (H, W, 3), at a stamp in ns; return it."""
     set_stamp(message.header.stamp, stamp)

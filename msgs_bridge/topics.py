@@ -67,6 +67,9 @@ CLOCK = Topic('/clock', 'rosgraph_msgs/msg/Clock', 'carracing_sim_node', BURST_D
 DIAGNOSTICS = Topic('/diagnostics', 'diagnostic_msgs/msg/DiagnosticArray', 'every node', 10,
                     '1 Hz health: rates, drops, rejects')
 
+COMPRESSED_TYPE = 'sensor_msgs/msg/CompressedImage'
+"""The other type of `image_raw`, where camera and driver are set to it."""
+
 TOPICS = (IMAGE, STEP, REWARD, EPISODE, CMD_VEL, Q_VALUES, WEIGHTS, VALIDATION, CLOCK, DIAGNOSTICS)
 
 IMAGE_ANNOTATED = Topic('image_annotated', 'sensor_msgs/msg/Image', 'image_annotator_node', 5,

@@ -57,11 +57,12 @@ def learned(graph, car):
     return int(of_car(graph, car).get('decisions', 0))
 
 
-def add_car(graph, car, listeners):
+def add_car(graph, car, listeners, **options):
     settings = graph.settings
     graph.start_graph(car_graph(
         car, simulator=settings.simulator_parameters(car), seed=car, listeners=listeners,
-        exponent=epsilon_exponent(car, 3, settings.epsilon_spread)), graph.namespace, '.')
+        exponent=epsilon_exponent(car, 3, settings.epsilon_spread), **options),
+        graph.namespace, '.')
 
 
 def pause(graph, car, paused):
@@ -118,7 +119,8 @@ def test_three_cars_of_which_one_dies_one_stands_and_one_comes_late(cars):
     stood = learned(graph, 1)
     assert float(of_car(graph, 1)['silent_seconds']) > 1
     assert f'{name_of(graph, 0)}: no ' in graph.health('trainer_node')['summary']
-    add_car(graph, 2, listeners=2)
+    # and sends its images compressed
+    add_car(graph, 2, listeners=2, compressed=True)
     graph.spin_until(lambda: learned(graph, 2) > 150, 60, 'one that came late')
     assert learned(graph, 1) == stood
     assert of_car(graph, 2)['summary'] == 'learned from'

@@ -9,7 +9,9 @@ from dqn_policy_node.camera import Camera, CameraSettings, parse_crop
 from dqn_policy_node.command_stage import CommandSettings, CommandStage
 from hypothesis import given, settings, strategies
 from msgs_bridge.errors import MessageError, SettingsError
-from msgs_bridge.images import compressed_to_array, ENCODINGS, fill_image, image_to_array
+from msgs_bridge.images import (
+    compressed_to_array, ENCODINGS, fill_compressed_image, fill_image, image_to_array,
+)
 from msgs_bridge.twists import Command, STOP
 import numpy as np
 from PIL import Image as Picture
@@ -60,6 +62,16 @@ def test_jpeg_and_png_are_unpacked_and_nothing_else_is():
     for cut in (0, 20, 200):
         with pytest.raises(MessageError, match='image'):
             compressed_to_array(CompressedImage(data=data.getvalue()[:cut]))
+
+
+def test_an_image_of_ours_comes_back_to_the_byte():
+    random = np.random.default_rng(0)
+    for shape in ((96, 96, 3), (1, 7, 3), (48, 64, 3)):
+        pixels = random.integers(0, 256, shape, np.uint8)
+        message = fill_compressed_image(CompressedImage(), pixels, 7 * 10**9 + 1, 'eye')
+        assert np.array_equal(compressed_to_array(message), pixels)
+        assert (message.format, message.header.frame_id) == ('png', 'eye')
+        assert (message.header.stamp.sec, message.header.stamp.nanosec) == (7, 1)
 
 
 def test_a_picture_that_would_unfold_to_gigabytes_is_refused_before_it_does():

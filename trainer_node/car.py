@@ -44,7 +44,7 @@ class Car:
 
     def __init__(
         self, node: NodeShell, source: Source, camera: Camera, settings: TrainerSettings, *,
-        others: int = 0,
+        others: int = 0, compressed: bool = False,
     ) -> None:
         """
         Subscribe to what one car publishes.
@@ -55,6 +55,7 @@ class Car:
             camera: makes frames of its images.
             settings: of the trainer.
             others: how many other cars there are.
+            compressed: whether its images are compressed.
         """
         self.source = source
         self.holding = False
@@ -71,8 +72,7 @@ class Car:
         self._inputs = (
             node.subscription(
                 image, self._on_image, depth=depth, polled=True,
-                type_name='sensor_msgs/msg/CompressedImage'
-                if settings.camera_compressed else None),
+                type_name=topics.COMPRESSED_TYPE if compressed else None),
             node.subscription(step, self._on_step, depth=depth, polled=True),
             node.subscription(twist, self._on_twist, depth=depth, polled=True))
         self._all = self._inputs

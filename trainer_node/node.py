@@ -23,6 +23,7 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Iterator
+import dataclasses
 import sys
 import threading
 import time
@@ -72,8 +73,9 @@ class TrainerNode(NodeShell):
                 resume=settings.resume),
             resume=settings.resume, device=settings.device, tensorboard=settings.tensorboard)
         preprocessing = training.description.preprocessing
-        self._camera = Camera(
-            settings, preprocessing.frame_height, preprocessing.frame_width)
+        self._cameras = {compressed: Camera(
+            dataclasses.replace(settings, camera_compressed=compressed),
+            preprocessing.frame_height, preprocessing.frame_width) for compressed in (False, True)}
         self._sources = Sources(settings.queue_limit)
         self._cars: tuple[Car, ...] = ()
         self._problems: dict[str, str] = {}
@@ -102,9 +104,13 @@ class TrainerNode(NodeShell):
 
     # --- ROS thread
 
-    def _add_car(self, name: str) -> None:
+    def _add_car(self, name: str, *, compressed: bool | None = None) -> None:
+        """Take in a car; `compressed` says of its images what differs from the parameter."""
+        if compressed is None:
+            compressed = self.settings.camera_compressed
         self._cars = (*self._cars, Car(
-            self, self._sources.add(name), self._camera, self.settings, others=len(self._cars)))
+            self, self._sources.add(name), self._cameras[compressed], self.settings,
+            others=len(self._cars), compressed=compressed))
 
     def _look_for_cars(self) -> None:
         """Take in cars that have appeared, and forget those that are gone for long."""
@@ -115,16 +121,19 @@ class TrainerNode(NodeShell):
             car.forget()
             self.get_logger().info(f'{car.source.name} is gone')
         known = {car.source.name for car in self._cars}
+        there = dict(self.get_topic_names_and_types())
         found = self._names.matching(
-            name.removesuffix(CAR_SUFFIX) for name, _ in self.get_topic_names_and_types()
-            if name.endswith(CAR_SUFFIX))
+            name.removesuffix(CAR_SUFFIX) for name in there if name.endswith(CAR_SUFFIX))
         for name in found:
             if name in known or not self.count_publishers(f'{name}{CAR_SUFFIX}'):
                 continue
             if len(self._cars) >= MOST:
                 self.warn_of('sources', f'{name} is left out: there are {MOST} cars')
                 break
-            self._add_car(name)
+            images = there.get(f'{name}/{topics.IMAGE.name}', ())
+            # one car may compress and another not
+            self._add_car(name, compressed=topics.COMPRESSED_TYPE in images
+                          and topics.IMAGE.type_name not in images or None)
             self.get_logger().info(f'{name} has come')
 
     def _on_validation(self, message: object) -> None:

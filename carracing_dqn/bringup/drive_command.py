@@ -31,6 +31,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help='number of this car (default: the lowest that is free)')
     parser.add_argument('--simulator', default='carracing', metavar='NAME|PROFILE|MODULE:CLASS',
                         help='what to drive in, the same as the trainer (default: %(default)s)')
+    parser.add_argument('--compressed', action='store_true',
+                        help='send images as png: a ninth of the bytes, half a millisecond more')
     parser.add_argument('--wait', type=float, default=WAIT_SECONDS, metavar='SECONDS',
                         help='how long to look for the trainer (default: %(default)s)')
     parser.add_argument('--output', type=Path, default=None,
@@ -62,6 +64,7 @@ def main(arguments: argparse.Namespace) -> int:
         done = trainer.episodes.get(f'{namespace}/{car_space(car)}', 0)
         graph = car_graph(
             car, vehicle=profile_of(arguments.simulator).vehicle,
+            compressed=arguments.compressed,
             simulator={**trainer.parameters, 'seed': training_seed(trainer.seed, car),
                        'seed_each_episode': True, 'first_episode': done,
                        'simulator': seen_from(arguments.simulator, folder)},

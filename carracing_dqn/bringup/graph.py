@@ -196,7 +196,7 @@ def learner_graph(
 
 def car_graph(
     car: int, *, simulator: Mapping[str, Any], seed: int, exponent: float,
-    vehicle: Mapping[str, Any] | None = None, listeners: int = 1,
+    vehicle: Mapping[str, Any] | None = None, listeners: int = 1, compressed: bool = False,
 ) -> Graph:
     """
     Return simulator and policy of one of several cars, in a namespace of their own.
@@ -208,13 +208,16 @@ def car_graph(
         exponent: what epsilon is raised to.
         vehicle: as for `training_graph`.
         listeners: nodes elsewhere that must miss nothing, the trainer among them.
+        compressed: whether its images are compressed, without loss.
     """
+    camera, image = (({'camera_compressed': True}, {'image_compressed': True}) if compressed
+                     else ({}, {}))
     return _connected(
-        NodeSpec(POLICY, {**(vehicle or {}), 'model': '', 'explore': True,
+        NodeSpec(POLICY, {**(vehicle or {}), **camera, 'model': '', 'explore': True,
                           'seed': seed % 2**31, 'epsilon_exponent': exponent},
                  car_space(car), (topics.WEIGHTS.name,)),
         # each has a time of its own
-        NodeSpec(SIMULATOR, {**simulator, 'publish_clock': False}, car_space(car)),
+        NodeSpec(SIMULATOR, {**simulator, **image, 'publish_clock': False}, car_space(car)),
         listeners=listeners)
 
 

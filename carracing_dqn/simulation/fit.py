@@ -11,11 +11,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from carracing_dqn.simulation.picture_motion import turned_left
+from msgs_bridge import topics
 from msgs_bridge.stamps import NANOSECONDS
 
 GOOD, UNSURE, BAD = 'fits', 'unsure', 'does not fit'
 
-IMAGE_TYPE, COMPRESSED_TYPE = 'sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage'
+IMAGE_TYPE, COMPRESSED_TYPE = topics.IMAGE.type_name, topics.COMPRESSED_TYPE
 STAMPED_TYPE, PLAIN_TYPE = 'geometry_msgs/msg/TwistStamped', 'geometry_msgs/msg/Twist'
 # rates within this share of each other are one
 RATE_TOLERANCE = 0.15

@@ -30,7 +30,7 @@ from carracing_dqn.simulation.stepping import Lockstep, RealTime
 from diagnostic_msgs.msg import DiagnosticStatus
 from msgs_bridge import topics
 from msgs_bridge.errors import BridgeError, MessageError
-from msgs_bridge.images import fill_image
+from msgs_bridge.images import fill_compressed_image, fill_image
 from msgs_bridge.named_values import fill_named_values
 from msgs_bridge.node_shell import Finished, NodeShell
 from msgs_bridge.stamps import NANOSECONDS, set_stamp, to_nanoseconds
@@ -38,7 +38,7 @@ from msgs_bridge.twists import read_command
 from rclpy.duration import Duration
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import Image, JointState
+from sensor_msgs.msg import CompressedImage, Image, JointState
 from std_msgs.msg import Float32
 from std_srvs.srv import SetBool, Trigger
 
@@ -79,7 +79,8 @@ class SimulatorNode(NodeShell):
         self.drive = Drive(simulator, settings)
         self._lockstep = settings.stepping == 'lockstep'
         self._stepping = (Lockstep if self._lockstep else RealTime)(self.drive, self)
-        self._image_publisher = self.publisher(topics.IMAGE)
+        self._image_publisher = self.publisher(
+            topics.IMAGE, type_name=topics.COMPRESSED_TYPE if settings.image_compressed else None)
         self.must_arrive = (self._image_publisher, *self.open_outlets())
         self._clock_publisher = None
         stamped = settings.cmd_vel_stamped
@@ -189,8 +190,11 @@ class SimulatorNode(NodeShell):
 
     def send_again(self, frame: Frame) -> None:
         """Publish the image of a frame."""
+        message, fill = Image(), fill_image
+        if self.settings.image_compressed:
+            message, fill = CompressedImage(), fill_compressed_image
         self._image_publisher.publish(
-            fill_image(Image(), frame.pixels, frame.stamp, self.settings.frame_id))
+            fill(message, frame.pixels, frame.stamp, self.settings.frame_id))
 
     def send_episode(self, values: dict[str, float], stamp: int) -> None:
         """Publish that an episode begins or has ended."""

@@ -70,7 +70,7 @@ class RefereeNode(NodeShell):
         self._twists = self.subscription(topics.CMD_VEL, self._on_twist, polled=True)
         self.subscription(
             topics.IMAGE, self._on_image,
-            type_name='sensor_msgs/msg/CompressedImage' if settings.camera_compressed else None)
+            type_name=topics.COMPRESSED_TYPE if settings.camera_compressed else None)
         self.create_service(Trigger, '~/reset', self._on_reset)
         self._reset = None
         if settings.reset_service:
