@@ -61,6 +61,8 @@ class Car:
         self.holding = False
         self._node, self._camera, self._settings = node, camera, settings
         self._foreign = ''
+        # no part of them was chosen, so a size that is not the model's is worth a line
+        self._whole_images = bool(source.name) and not (settings.camera_crop or compressed)
         self._ask_again_at = self._look_again_at = 0.0
         self._asked: object = None
         self._seen_at = time.monotonic()
@@ -132,6 +134,10 @@ class Car:
 
     def _on_image(self, message: object) -> None:
         frame = self._camera.frame(message)
+        if self._whole_images and (message.height, message.width) != frame.shape[:2]:
+            # its policy scales them, too, so what is learned fits; but it may be a mistake
+            self._node.warn_of(self.source.name, f'its images are {message.width}x{message.height}'
+                               f', scaled to {frame.shape[1]}x{frame.shape[0]}')
         if len(message.data) > 2 * frame.nbytes:
             # a part of a large image would keep all of it in memory
             frame = frame.copy()
