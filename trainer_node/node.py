@@ -48,7 +48,7 @@ LOOK_SECONDS = 1.0
 # what tells a car in the graph
 CAR_SUFFIX = f'/{topics.STEP.name}'
 
-# How long the learning thread sleeps when nothing has come in.
+# How long the learning thread sleeps when nothing has come in; looking at many cars takes longer.
 IDLE_SECONDS = 0.0005
 
 
@@ -190,7 +190,7 @@ class TrainerNode(NodeShell):
                 if not driver.turn():
                     return
                 if taken is None:
-                    time.sleep(IDLE_SECONDS)
+                    time.sleep(IDLE_SECONDS * max(len(self._cars) / 2, 1))
                     break
 
     def _publish_weights(self, data: bytes) -> None:
