@@ -5,6 +5,7 @@ import csv
 import json
 import os
 from pathlib import Path
+import re
 import shutil
 import signal
 import subprocess
@@ -18,6 +19,7 @@ from carracing_dqn.studies.bootstrap import (
 )
 from carracing_dqn.studies.errors import StudyError
 from carracing_dqn.studies.one_process import learn
+from carracing_dqn.studies.schedule import why_ended
 from carracing_dqn.studies.search import Search
 from carracing_dqn.studies.study_file import find_study, load_study, plan, study_names
 from dqn_policy_node.model_folder import load_model
@@ -69,6 +71,8 @@ def test_what_fails_is_named_and_the_rest_goes_on(folder, capsys):
     page = Path('runs/studies/which/which.md').read_text()
     assert 'Which is better?' in page and '3 of 7 runs are done' in page
     assert "needs 'speed'" in page and 'runs/studies/which/plain/seed-5' in page
+    done = next(line for line in page.splitlines() if line.startswith('| plain, seed 5 |'))
+    assert re.match(r'\| plain, seed 5 \| done \| [-.0-9]+ \| 400 \| \d+ \| \d+ \| ', done), done
     assert str(folder) not in page and '| **' not in page.split('## Arms')[1]
     assert Path('runs/studies/which/which.png').read_bytes()[:4] == b'\x89PNG'
     record = json.loads(Path('runs/studies/which/which.json').read_text())
@@ -117,6 +121,14 @@ def test_a_study_that_is_stopped_goes_on_where_it_was(folder):
     record = json.loads(rows.with_name('run.json').read_text())
     assert len(record['sessions']) == 2 and record['complete']
     assert load_model(rows.parent / 'final').training['decisions'] == 2500
+
+
+def test_why_a_process_ended_is_told(folder):
+    assert why_ended(folder, -9) == 'its process was ended by signal 9'
+    assert why_ended(folder, 3) == 'its process ended with code 3'
+    (folder / 'log.txt').write_text('Traceback\n  x\n\nerror: the disk\x1b is full\n')
+    assert why_ended(folder, 2) == 'the disk? is full'
+    assert why_ended(folder, 130) == 'stopped by a signal'
 
 
 def test_a_run_ends_with_what_started_it(folder):

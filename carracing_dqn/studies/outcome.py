@@ -61,7 +61,8 @@ class Outcome:
         curve: of its training; empty before the first episode has ended.
         laps: test laps by seed; empty when there are none yet.
         training: return of each training episode.
-        figures: decisions, episodes, updates and wall seconds so far, as far as they are known.
+        figures: decisions, episodes, updates and minutes so far, and mean Q-value of the actions
+            in the last updates, as far as they are known.
     """
 
     run: PlannedRun
@@ -159,6 +160,9 @@ def _figures(folder: RunFolder, episodes: Table) -> dict[str, float]:
     with contextlib.suppress(BridgeError, ValueError, KeyError, TypeError):
         model = json.loads(read_regular(folder.final / MODEL_FILE, MAX_MODEL_BYTES, BridgeError))
         found = {name: model['training'][name] for name in FIGURES}
+    updates, _ = read_table(folder.updates, ())
+    if len(values := _column(updates, 'q_mean')):
+        found['q_mean'] = float(values[-1])
     found['minutes'] = (folder.read_record().get('wall_seconds') or 0) / 60
     return {**figures, **{name: float(value) for name, value in found.items()
                           if isinstance(value, (int, float))}}

@@ -27,6 +27,8 @@ MIDDLE = 0.5
 """Probability of improvement of what makes no difference."""
 
 SIGNIFICANT = 0.05
+RUN_FIGURES = {
+    'decisions': '.0f', 'episodes': '.0f', 'updates': '.0f', 'q_mean': '.2f', 'minutes': '.0f'}
 SETTINGS_SHOWN = 12
 
 
@@ -181,11 +183,11 @@ def _pairs(values: Mapping[str, Any]) -> str:
 
 
 def _run_table(runs: Sequence[Outcome]) -> list[str]:
-    lines = ['| run | state | mean | decisions | episodes | updates | minutes | folder |',
-             '|---|---|---|---|---|---|---|---|']
+    lines = ['| run | state | mean | decisions | episodes | updates | mean Q at the end | minutes '
+             '| folder |', '|---|---|---|---|---|---|---|---|---|']
     for outcome in runs:
-        figures = [f'{outcome.figures[name]:.0f}' if name in outcome.figures else ''
-                   for name in ('decisions', 'episodes', 'updates', 'minutes')]
+        figures = [format(outcome.figures[name], digits) if name in outcome.figures else ''
+                   for name, digits in RUN_FIGURES.items()]
         state = outcome.state + (f': {outcome.problem}' if outcome.problem else '')
         mean = f'{outcome.scores.mean():.1f}' if outcome.state == DONE else ''
         lines.append(f'| {outcome.run.name} | {_cell(state)} | {mean} | {" | ".join(figures)} | '

@@ -127,7 +127,7 @@ class Schedule:
             if code is None:
                 continue
             self._running.remove(running)
-            problem = '' if code == 0 else _reason(running.run.folder, code)
+            problem = '' if code == 0 else why_ended(running.run.folder, code)
             if problem:
                 with contextlib.suppress(OSError):
                     write_text(running.run.folder / FAILURE, problem + '\n')
@@ -151,7 +151,7 @@ class Schedule:
             self._running.clear()
 
 
-def _reason(folder: Path, code: int) -> str:
+def why_ended(folder: Path, code: int) -> str:
     """Return why a run has ended that was not to."""
     if code == STOPPED:
         return 'stopped by a signal'
