@@ -52,7 +52,8 @@ LEFT_OUT = ('/rosout', '/parameter_events')
 LATCHED = frozenset(topic.name for topic in TOPICS if topic.latched and topic.depth > 1)
 SIMULATOR_PARAMETERS = ('wait_for_subscribers', 'stepping', 'action_repeat', 'real_time_factor')
 POLICY_PARAMETERS = tuple(field.name for field in dataclasses.fields(PolicySettings))
-ANSWER_SECONDS = 3.0
+# a node that starts, or a busy machine, takes its time
+ANSWER_SECONDS = 10.0
 
 
 class Ear:
@@ -256,8 +257,10 @@ class LiveSource(ListeningNode):
             for service in services:
                 if service.endswith(end):
                     name = service.removesuffix(end)
-                    if f'{name}/get_parameters' in services:
-                        self._call(f'parameters of {name}', GetParameters,
+                    what = f'parameters of {name}'
+                    asked = any(one == what for one, _, _ in self._pending)
+                    if f'{name}/get_parameters' in services and not asked:
+                        self._call(what, GetParameters,
                                    f'{name}/get_parameters',
                                    GetParameters.Request(names=list(names)), names, name)
 
