@@ -89,9 +89,10 @@ def test_an_interrupted_run_goes_on_as_if_nothing_had_happened(
     blocks = [{block: sum_ for block, sum_ in state['blocks'].items() if 16 * int(block) >= oldest}
               for _, state in (first, second)]
     assert blocks[0] == blocks[1] != {}
-    for name in ('episodes.csv', 'validation.csv', 'updates.csv'):
+    for name in ('episodes.csv', 'validation.csv', 'updates.csv', *['cars.csv'] * bool(names)):
         assert without_clock(tmp_path / 'whole' / name) == without_clock(
             tmp_path / 'parts' / name)
+    assert (tmp_path / 'whole' / 'cars.csv').exists() == bool(names)
     record = json.loads((tmp_path / 'parts' / 'run.json').read_text())
     assert len(record['sessions']) == 2
 
@@ -111,6 +112,15 @@ def test_one_of_several_sources_that_cannot_be_used_does_not_end_the_others(tmp_
     assert sources['/odd'].decisions == 0 < training.learning.learner.updates
     assert sum(of.decisions for of in sources.values()) == training.decisions == 40
     assert sum(of.episodes for of in sources.values()) == training.episodes > 0
+    of_cars = rows(tmp_path / 'run' / 'cars.csv')
+    assert [int(row['run_episode']) for row in of_cars] == [*range(training.episodes)]
+    for name in CARS:
+        assert [int(row['episode']) for row in of_cars if row['source'] == name] == [
+            *range(sources[name].episodes)]
+    training.save()
+    training.folder.cars.unlink()
+    with pytest.raises(RunError, match='cars.csv: it is gone'):
+        Training.resume(tmp_path / 'run', device='cpu')
 
 
 def test_rows_have_the_columns_of_the_report_and_more(tmp_path):

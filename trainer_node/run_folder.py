@@ -36,6 +36,7 @@ class RunFolder:
         self.episodes = self.path / 'episodes.csv'
         self.validation = self.path / 'validation.csv'
         self.updates = self.path / 'updates.csv'
+        self.cars = self.path / 'cars.csv'
         self.checkpoint = self.path / 'checkpoint' / 'checkpoint.safetensors'
         self.best = self.path / 'best'
         self.final = self.path / 'final'
@@ -55,7 +56,8 @@ class RunFolder:
             RunError: a run is there already, or the place cannot be written.
         """
         if self.unfinished_start:
-            for path in (self.record, self.episodes, self.validation, self.updates):
+            for path in (
+                    self.record, self.episodes, self.validation, self.updates, self.cars):
                 path.unlink(missing_ok=True)
         elif self.config.exists() or self.checkpoint.exists():
             raise RunError(f'{self.path} holds a run already; resume it or name another folder')

@@ -108,6 +108,7 @@ class RunRecord:
 
     def episode(
         self, step: Step, learning: Learning, *, epsilon: float, version: int, seconds: float,
+        source: str = '',
     ) -> None:
         """
         Write a row for an episode that has ended.
@@ -118,6 +119,7 @@ class RunRecord:
             epsilon: what it was driven with.
             version: of the weights that went out last.
             seconds: wall time of the run.
+            source: whose it was, if there are several.
         """
         info = step.info
         self._tracking.episode({
@@ -132,6 +134,12 @@ class RunRecord:
             'replay_size': len(learning.replay), 'replay_ratio': learning.limiter.ratio,
             'weights_version': version, 'wall_seconds': seconds})
         self._new_validation = None
+        if source:
+            self._tracking.car_episode({
+                'source': source, 'episode': step.episode, 'seed': step.seed,
+                'train_reward': step.episode_return, 'frames': info.get('step'),
+                'run_episode': learning.episodes - 1, 'decisions': learning.decisions,
+                'weights_version': version, 'wall_seconds': seconds})
 
     def validated(self, row: Mapping[str, float]) -> None:
         """Write a row for a validation."""

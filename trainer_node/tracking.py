@@ -25,6 +25,9 @@ VALIDATION_COLUMNS = (
     'version', 'episode', 'decisions', 'updates', 'wall_seconds', 'episodes', 'mean', 'std',
     'minimum', 'maximum', 'completed', 'seconds')
 
+CAR_COLUMNS = ('source', 'episode', 'seed', 'train_reward', 'frames', 'run_episode',
+               'decisions', 'weights_version', 'wall_seconds')
+
 
 def update_columns(figures: tuple[str, ...]) -> tuple[str, ...]:
     """Return the columns of `updates.csv` for a learner that gives some figures."""
@@ -51,7 +54,7 @@ class CsvFile:
         except OSError as error:
             raise RunError(f'{path}: {error.strerror}') from None
         header = _row(columns)
-        self._least = len(header)
+        self.least = len(header)
         if self._file.tell() == 0:
             self._append(columns)
         with open(path, 'rb') as file:
@@ -76,7 +79,7 @@ class CsvFile:
             RunError: the file is shorter than that, or that is no place after its columns.
         """
         size = os.fstat(self._file.fileno()).st_size
-        if not self._least <= position <= size:
+        if not self.least <= position <= size:
             raise RunError(f'{self.path}: {size} bytes, but {position} at the checkpoint')
         self._file.truncate(position)
 
@@ -107,7 +110,11 @@ def _cell(value: Any) -> Any:
 
 
 class Tracking:
-    """The three CSV files of a run, and TensorBoard when asked for."""
+    """
+    The CSV files of a run, and TensorBoard when asked for.
+
+    The one about cars is there from the first episode on of a source with a name.
+    """
 
     def __init__(
         self, folder: RunFolder, figures: tuple[str, ...], *, tensorboard: bool = False,
@@ -116,6 +123,8 @@ class Tracking:
         self.episodes = CsvFile(folder.episodes, EPISODE_COLUMNS)
         self.validation = CsvFile(folder.validation, VALIDATION_COLUMNS)
         self.updates = CsvFile(folder.updates, update_columns(figures))
+        self._cars_path = folder.cars
+        self.cars = self._open_cars() if folder.cars.exists() else None
         self._writer = None
         if tensorboard:
             self._writer = _tensorboard_writer(folder.tensorboard)
@@ -129,6 +138,15 @@ class Tracking:
             'charts/epsilon': values['epsilon'],
             'charts/lap_finished': values.get('lap_finished'),
         })
+
+    def _open_cars(self) -> CsvFile:
+        return CsvFile(self._cars_path, CAR_COLUMNS)
+
+    def car_episode(self, values: dict[str, Any]) -> None:
+        """Write down whose training episode it was."""
+        if self.cars is None:
+            self.cars = self._open_cars()
+        self.cars.write(values)
 
     def validated(self, values: dict[str, Any]) -> None:
         """Write a validation down."""
@@ -150,16 +168,25 @@ class Tracking:
 
     def positions(self) -> dict[str, int]:
         """Return the length of each CSV file."""
-        return {name: getattr(self, name).position() for name in FILES}
+        return {name: getattr(self, name).position() for name in self._files}
+
+    @property
+    def _files(self) -> tuple[str, ...]:
+        return FILES if self.cars is None else (*FILES, 'cars')
 
     def set_back(self, positions: dict[str, int]) -> None:
         """Cut the CSV files to the lengths of a checkpoint; raises RunError."""
         for name in FILES:
             getattr(self, name).set_back(positions[name])
+        if self.cars is not None:
+            # one that was begun after the checkpoint is left without a row
+            self.cars.set_back(positions.get('cars', self.cars.least))
+        elif 'cars' in positions:
+            raise RunError(f'{self._cars_path}: it is gone, and was there at the checkpoint')
 
     def close(self) -> None:
         """Close all files."""
-        for name in FILES:
+        for name in self._files:
             getattr(self, name).close()
         if self._writer is not None:
             self._writer.close()

@@ -255,7 +255,7 @@ class Training:
                 self._record.note('tuner', self.tuner.to_json())
             self._record.episode(
                 transition.step, learning, epsilon=epsilon, version=self.version,
-                seconds=self.wall_seconds)
+                seconds=self.wall_seconds, source=source)
         self.selection.ask_when_due(self.moment, episode_ended=ended)
         return learning.learner.updates - updates
 
