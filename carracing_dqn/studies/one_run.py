@@ -42,9 +42,9 @@ LAPS_KEPT = 5
 class Stop:
     """Whether the run is to be left: by a signal, or because who started it is gone."""
 
-    def __init__(self) -> None:
-        """Listen to SIGINT and SIGTERM from here on."""
-        self._parent = os.getppid()
+    def __init__(self, parent: int) -> None:
+        """Listen to SIGINT and SIGTERM from here on; end with a parent process."""
+        self._parent = parent
         self._told = False
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._tell)
@@ -115,8 +115,10 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument('--laps', type=int, default=0, help='test laps')
     parser.add_argument('--test-seed', type=int, default=0, help='of the first one')
     parser.add_argument('--model', choices=(FINAL, BEST), default=FINAL, help='which to test')
+    parser.add_argument('--parent', type=int, default=os.getppid(), help='process to end with')
     arguments = parser.parse_args(argv)
-    stop = Stop()
+    # it may have gone while this one was still importing
+    stop = Stop(arguments.parent)
     limit_torch_threads()
     try:
         train(arguments.run, stop)

@@ -108,7 +108,7 @@ class Schedule:
                 process = subprocess.Popen(
                     [sys.executable, '-m', 'carracing_dqn.studies.one_run', str(run.folder),
                      '--laps', str(settings.laps), '--test-seed', str(settings.test_seed),
-                     '--model', settings.model],
+                     '--model', settings.model, '--parent', str(os.getpid())],
                     stdin=subprocess.DEVNULL, stdout=log, stderr=log,
                     # Ctrl-C in a terminal is for the command, which passes it on once
                     start_new_session=True,
