@@ -11,6 +11,7 @@ from graph_probe import carracing
 from msgs_bridge.errors import SimulatorError
 from msgs_bridge.twists import Command
 import numpy as np
+import pygame
 import pytest
 
 PROFILES = ('pyracerz_raw', 'pyracerz_carracing')
@@ -45,6 +46,15 @@ def test_seed_and_commands_make_the_same_outcomes_to_the_byte(profile):
     again = drive(make_simulator(profile, {'level': 2}), 7, commands, frames=3)
     assert drives[0] == drives[2] == again
     assert drives[0][0] != drives[1][0]
+
+
+@installed
+def test_it_can_be_made_after_another_simulator_has_closed_the_display():
+    make_simulator('pyracerz_raw').close()
+    pygame.display.quit()
+    simulator = make_simulator('pyracerz_raw')
+    assert np.ptp(simulator.reset(1).pixels) > 0
+    simulator.close()
 
 
 @installed

@@ -29,14 +29,22 @@ class _Parser(configparser.ConfigParser):
         self.read_file(file)
 
 
-@functools.cache
 def load_game() -> SimpleNamespace:
     """
-    Return the modules of the game by name.
+    Return the modules of the game by name, ready to load a track.
 
     Raises:
         SimulatorError: it is not installed, or cannot be used.
     """
+    game = _modules()
+    # pictures are converted to the format of a display, which has to exist for that; another
+    # simulator of this process may have closed the one that was there
+    game.misc.screen = _display()
+    return game
+
+
+@functools.cache
+def _modules() -> SimpleNamespace:
     if not FOLDER.is_dir():
         raise SimulatorError(f'pyRacerz is not here; {INSTALL}')
     before = {name: sys.modules.pop(name) for name in MODULES if name in sys.modules}
@@ -55,8 +63,6 @@ def load_game() -> SimpleNamespace:
         sys.modules.update(before)
     for module in (game.misc, game.track):
         module.configparser = SimpleNamespace(ConfigParser=_Parser)
-    # pictures are converted to the format of a display, which has to exist for that
-    game.misc.screen = _display()
     return game
 
 
