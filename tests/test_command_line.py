@@ -34,7 +34,7 @@ def own_folder(tmp_path, monkeypatch):
     (['run', '--laps', '-1'], '--laps is -1'),
     (['run', '--seed', '-1'], '--seed is -1'),
     (['run', '--namespace', '[/x]'], "--namespace is '[/x]'"),
-    (['run', '--model', 'a\x1b[31m'], 'the shipped, which are racing, report'),
+    (['run', '--model', 'a\x1b[31m'], 'the shipped, which are mujoco_car, '),
     (['run', '--model', '../models/racing'], 'neither a folder with model.json'),
     (['train', '--minutes', '0'], '--minutes is 0'),
     (['train', '--minutes', '-1'], '--minutes is -1'),

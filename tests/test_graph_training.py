@@ -176,7 +176,7 @@ def test_run_drives_laps_and_leaves_a_bag(tmp_path):
     (('train', '--set', 'gamma'), 'expected NAME=VALUE'),
     (('train', '--resume', 'nowhere'), 'nowhere is no run folder'),
     (('run', '--model', 'nothing'), "no model 'nothing': neither"),
-    (('run', '--model', 'nothing'), 'of the shipped, which are racing, report'),
+    (('run', '--model', 'nothing'), 'of the shipped, which are mujoco_car, '),
     (('run', '--laps', '-1'), '--laps is -1'),
 ])
 def test_mistakes_on_the_command_line_are_one_line_and_leave_nothing(words, error, tmp_path):
