@@ -120,10 +120,9 @@ def main(arguments: argparse.Namespace) -> int:
     finally:
         monitor.close()
     run = RunFolder(folder)
-    for name, path, more in (
-            ('best', run.best, best_score(monitor.state)), ('final', run.final, '')):
+    for name, path in (('best', run.best), ('final', run.final)):
         if path.is_dir():
-            display.say(f'{name} model: {path}{more}')
+            display.say(f'{name} model: {path}{best_score(path) if path == run.best else ""}')
     if interrupted:
         display.say(_what_next(folder) or 'nothing was learned yet')
     return 130 if interrupted else 0

@@ -4,11 +4,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+import contextlib
 import math
+from pathlib import Path
 
 from carracing_dqn.bringup.graph import POLICY, SIMULATOR, TRAINER
 from carracing_dqn.bringup.cars_display import cars_in_words, cars_table
 from carracing_dqn.bringup.monitor import GraphState
+from msgs_bridge.errors import BridgeError
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
@@ -105,7 +108,12 @@ def training_line(state: GraphState) -> str:
     return line
 
 
-def best_score(state: GraphState) -> str:
+def best_score(folder: Path) -> str:
     """Return the validation score of the best model in brackets, or nothing."""
-    score = state.value(TRAINER.name, 'best_validation')
-    return f' (validation {score:.1f})' if math.isfinite(score) else ''
+    # on first use, because torch takes a second to load
+    from dqn_policy_node.model_folder import load_model
+    with contextlib.suppress(BridgeError, KeyError, TypeError, ValueError):
+        score = float(load_model(folder).training['best_validation']['mean'])
+        if math.isfinite(score):
+            return f' (validation {score:.1f})'
+    return ''
