@@ -32,11 +32,13 @@ SAMPLE = (
 
 
 def test_a_graph_survives_a_sample_of_faults(tmp_path):
+    # before the graph, which has to end whatever happens to it
+    outcomes = []
     graph = RunningGraph(tmp_path, 'sample')
     try:
         graph.wait_until_well(120)
-        outcomes = [try_message_fault(graph, case, seed, seconds=1.5, promised=PATIENT)
-                    for seed, case in enumerate(SAMPLE)]
+        outcomes += [try_message_fault(graph, case, seed, seconds=1.5, promised=PATIENT)
+                     for seed, case in enumerate(SAMPLE)]
         outcomes += [try_process_fault(graph, tables.ProcessCase(fault, node, ends), 0,
                                        promised=PATIENT)
                      for fault, node, ends in (('kill', 'policy', True),
