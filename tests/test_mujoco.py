@@ -228,6 +228,8 @@ def test_a_bag_of_it_is_driven_again(tmp_path):
     result = carracing('run', '--simulator', 'mujoco_car', '--model', 'random', '--laps', '1',
                        '--output', str(tmp_path / 'run'), timeout=180)
     assert result.returncode == 0, result.stdout + result.stderr
+    # its tiles are none of CarRacing's, on whose tracks laps are drawn
+    assert not (tmp_path / 'run' / 'pictures').exists()
     result = carracing('bag', 'verify', str(tmp_path / 'run' / 'bag'), timeout=180)
     assert result.returncode == 0, result.stdout + result.stderr
     assert '1001 frames, 0 differ' in result.stdout

@@ -14,7 +14,7 @@ from carracing_dqn.bringup.provenance import with_provenance
 from carracing_dqn.bringup.run_folders import default_folder, new_folder
 from carracing_dqn.bringup.supervise import check_machine, refuse_second_simulator, run_to_the_end
 from carracing_dqn.simulation.profiles import profile_of, seen_from
-from carracing_dqn.simulation.registry import frame_seconds
+from carracing_dqn.simulation.registry import CARRACING, frame_seconds
 from msgs_bridge.errors import BridgeError
 from rich.console import Console
 from rich.table import Table
@@ -67,7 +67,7 @@ def main(arguments: argparse.Namespace) -> int:
     bag = folder / 'bag'
     if bag.is_dir():
         display.say(f'bag: {bag}  (look: carracing bag info {bag})')
-        if not interrupted:
+        if not interrupted and arguments.simulator in CARRACING:
             from carracing_dqn.bringup.run_pictures import draw_recorded_laps
             try:
                 for picture in draw_recorded_laps(bag, folder / 'pictures'):

@@ -13,7 +13,7 @@ from msgs_bridge.twists import Command
 
 def draw_recorded_laps(bag: Path, folder: Path) -> list[Path]:
     """
-    Draw the whole laps of CarRacing in a bag; return the pictures.
+    Draw the whole laps in a bag of CarRacing; return the pictures.
 
     Args:
         bag: bag whose tracks have a seed each; others are passed over.
@@ -27,8 +27,6 @@ def draw_recorded_laps(bag: Path, folder: Path) -> list[Path]:
     commands: list[Command] = []
     for transition in bag_transitions([bag]):
         step = transition.step
-        if 'tiles_total' not in step.info:
-            continue
         if transition.previous.decision == 0:
             commands = []
         # what was applied, held for as many frames as the simulator drove

@@ -12,7 +12,7 @@ from carracing_dqn.evaluation.errors import RecordsError, ResultsError
 from carracing_dqn.evaluation.results import read_json, Results
 from carracing_dqn.evaluation.tables import read_table, Table
 from carracing_dqn.simulation.profiles import found_from
-from carracing_dqn.simulation.registry import DEFAULT
+from carracing_dqn.simulation.registry import CARRACING, DEFAULT
 from dqn_policy_node.shipped_models import RANDOM
 import yaml
 
@@ -25,7 +25,6 @@ UPDATE_COLUMNS = (
 # below a model folder, the record of its training
 RECORD_FOLDERS = ('', 'training', 'record')
 MODEL_FOLDERS = ('best', 'final', '')
-CARRACING = ('carracing', 'fast', 'gymnasium')
 MAX_TEXT_BYTES = 4 * 2**20
 
 

@@ -41,6 +41,8 @@ SIMULATORS = {
 }
 GROUP = 'carracing_dqn.simulators'
 DEFAULT = 'carracing'
+CARRACING = ('carracing', 'fast', 'gymnasium')
+"""Names of CarRacing itself, whose tracks can be drawn and which the seed document is about."""
 # what a simulator must have beside what `Simulator` gives to those who inherit from it
 OWED = ('reset', 'advance', 'skip', 'close', 'Settings')
 
