@@ -104,14 +104,14 @@ def test_two_hosts_learn_together_over_a_link_that_delays_loses_and_breaks(tmp_p
         hosts.says('recorder.log', 'recording')
         hosts.says('trainer.log', 'learning into')
         hosts.drive(0)
-        hosts.until(0, 150)
+        hosts.until(0, 60)
         assert wire.lost > 0
 
         wire.cut = True
         wait_for(lambda: float(hosts.of(0)['silent_seconds']) > 9, 30, 'ten seconds of silence')
         wire.cut = False
         before = hosts.learned(0)
-        hosts.until(0, before + 150)
+        hosts.until(0, before + 60)
 
         # the recorder is asked to end, and the host is gone
         recorder.send_signal(signal.SIGINT)
@@ -119,7 +119,7 @@ def test_two_hosts_learn_together_over_a_link_that_delays_loses_and_breaks(tmp_p
         hosts.there.kill()
         wait_for(lambda: float(hosts.of(0)['silent_seconds']) > 3, 30, 'a car that is gone')
         hosts.drive(1)
-        hosts.until(1, 100)
+        hosts.until(1, 40)
         said = {car: hosts.of(car) for car in (0, 1)}
         trainer.terminate()
         assert trainer.wait(30) == 0, (tmp_path / 'trainer.log').read_text()[-2000:]
@@ -127,13 +127,16 @@ def test_two_hosts_learn_together_over_a_link_that_delays_loses_and_breaks(tmp_p
     training = Training.resume(tmp_path / 'run', device='cpu')
     learned = in_replay(training, '/car_0')
     recorded, _, _ = in_bag(training, tmp_path / 'bag', '/car_0')
-    # the recorder ended a little before its car
-    known = [one for one in learned if one in set(recorded)]
-    assert len(known) > 300 and is_part(known, recorded) and learned[:len(known)] == known
+    # the recorder found its car a little after it began, and ended a little before it
+    held = set(recorded)
+    known = [one for one in learned if one in held]
+    first = learned.index(known[0])
+    assert len(known) > 60 and is_part(known, recorded)
+    assert learned[first:first + len(known)] == known
     assert not training.learning.left_out
     # what is missing is counted, and why
     missing = recorded.index(known[-1]) + 1 - len(known)
     counted = sum(int(said[0].get(f'transitions_{name}', 0)) for name in (
         'lost_image', 'lost_twist', 'lost_step', 'odd_step'))
     assert (missing > 0) == (counted > 0) and missing <= 2 * counted
-    assert training.learning.sources['/car_1'].decisions > 100
+    assert training.learning.sources['/car_1'].decisions > 40
