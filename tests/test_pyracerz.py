@@ -129,7 +129,7 @@ def test_a_track_that_is_none_is_told_in_one_line(settings, told):
 
 def test_a_missing_game_is_told_in_one_line(monkeypatch, tmp_path):
     monkeypatch.setattr(pyracerz_game, 'FOLDER', tmp_path / 'none')
-    pyracerz_game.load_game.cache_clear()
+    pyracerz_game._modules.cache_clear()
     with pytest.raises(SimulatorError, match='apt-get install pyracerz') as caught:
         make_simulator('pyracerz')
     assert '\n' not in str(caught.value)
