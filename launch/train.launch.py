@@ -3,8 +3,9 @@
 """Launch trainer, simulator, policy and validator: the car learns."""
 from carracing_dqn.bringup.graph import training_graph
 from carracing_dqn.bringup.launch_graph import launch_actions
-from carracing_dqn.bringup.recipe import choose_preset, pairs_of_simulator
+from carracing_dqn.bringup.recipe import pairs_of_simulator
 from carracing_dqn.simulation.profiles import profile_of
+from carracing_dqn.studies.simulator_settings import choose_preset
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration

@@ -12,6 +12,7 @@ import rclpy
 from rclpy.context import Context
 from rclpy.exceptions import InvalidNamespaceException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.validate_namespace import validate_namespace
 
@@ -19,6 +20,30 @@ from rclpy.validate_namespace import validate_namespace
 TURN_SECONDS = 0.5
 # after a turn that failed, so that one that fails again and again does not spin
 FAILED_SECONDS = 0.05
+
+
+def node_of_a_command(name: str, namespace: str = '') -> tuple[Node, SingleThreadedExecutor]:
+    """
+    Return a node without services of its own and its executor; signals stay with the caller.
+
+    It belongs to a context of its own, which the caller shuts down.
+
+    Raises:
+        BridgeError: the machine lacks what every node needs.
+    """
+    before_rclpy()
+    context = Context()
+    rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        node = rclpy.create_node(
+            name, context=context, namespace=namespace or None, start_parameter_services=False,
+            enable_rosout=False, use_global_arguments=False)
+    except BaseException:
+        rclpy.try_shutdown(context=context)
+        raise
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    return node, executor
 
 
 class ListeningNode:
@@ -36,15 +61,9 @@ class ListeningNode:
         Raises:
             BridgeError: the machine lacks what every node needs.
         """
-        before_rclpy()
         self.failed = 0
-        self._context = Context()
-        rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
-        self._node = rclpy.create_node(
-            name, context=self._context, namespace=namespace or None,
-            start_parameter_services=False, enable_rosout=False, use_global_arguments=False)
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self._node)
+        self._node, self._executor = node_of_a_command(name, namespace)
+        self._context = self._node.context
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 

@@ -14,8 +14,8 @@ from dqn_policy_node.command_stage import CommandStage
 from dqn_policy_node.settings import PolicySettings
 from msgs_bridge import topics
 from msgs_bridge.adaptive_subscription import AdaptiveSubscription
-from msgs_bridge.before_rclpy import before_rclpy
 from msgs_bridge.errors import BridgeError, MessageError
+from msgs_bridge.listening_node import node_of_a_command
 from msgs_bridge.matching import deaf_subscriptions, publishers_of, subscriptions_of
 from msgs_bridge.message_types import message_class
 from msgs_bridge.plain_text import plain
@@ -23,9 +23,7 @@ from msgs_bridge.qos import qos_profile
 from msgs_bridge.stamps import to_nanoseconds
 from msgs_bridge.twists import Command, fill_twist
 import rclpy
-from rclpy.context import Context
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-from rclpy.signals import SignalHandlerOptions
 
 # Fast DDS announces itself every 3 s, and one announcement may get lost
 FIND_SECONDS = 6.5
@@ -61,28 +59,21 @@ def look(
     Raises:
         BridgeError: the machine lacks what every node needs, or a topic has no such name.
     """
-    before_rclpy()
-    context = Context()
-    rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
+    node, executor = node_of_a_command('carracing_check', namespace)
     try:
-        node = rclpy.create_node(
-            'carracing_check', context=context, namespace=namespace or None,
-            start_parameter_services=False, enable_rosout=False, use_global_arguments=False)
-        return _Look(node, context, settings, frame, remaps).run(seconds, nudge)
+        return _Look(node, executor, settings, frame, remaps).run(seconds, nudge)
     except rclpy.exceptions.InvalidTopicNameException as error:
         raise BridgeError(f'topics of the profile: {str(error).splitlines()[0]}') from None
     finally:
-        rclpy.try_shutdown(context=context)
+        rclpy.try_shutdown(context=node.context)
 
 
 class _Look:
     def __init__(
-        self, node: Any, context: Context, settings: PolicySettings, frame: tuple[int, int],
-        remaps: dict[str, str],
+        self, node: Any, executor: SingleThreadedExecutor, settings: PolicySettings,
+        frame: tuple[int, int], remaps: dict[str, str],
     ) -> None:
-        self._node, self._settings = node, settings
-        self._executor = SingleThreadedExecutor(context=context)
-        self._executor.add_node(node)
+        self._node, self._executor, self._settings = node, executor, settings
         self._camera = Camera(settings, frame[1], frame[0])
         self._stage = CommandStage(settings)
         self._image_name, self._cmd_vel_name, self._step_name = (

@@ -11,16 +11,13 @@ from typing import Any
 from carracing_dqn.bringup.graph import CAR, car_space
 from dqn_policy_node.weights_message import read_extra
 from msgs_bridge import topics
-from msgs_bridge.before_rclpy import before_rclpy
 from msgs_bridge.errors import BridgeError
+from msgs_bridge.listening_node import node_of_a_command
 from msgs_bridge.message_types import message_class
 from msgs_bridge.plain_text import plain
 from msgs_bridge.qos import qos_profile
 from msgs_bridge.seeds import MAX_CARS
 import rclpy
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.signals import SignalHandlerOptions
 
 # cars make themselves known within so long after the trainer was found
 SETTLE_SECONDS = 2.0
@@ -67,15 +64,8 @@ def find_trainer(namespace: str, seconds: float) -> Handout:
     Raises:
         BridgeError: none came, or what came is not of a trainer of several cars.
     """
-    before_rclpy()
-    context = Context()
-    rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
+    node, executor = node_of_a_command('carracing_join', namespace)
     try:
-        node = rclpy.create_node(
-            'carracing_join', context=context, namespace=namespace or None,
-            start_parameter_services=False, enable_rosout=False, use_global_arguments=False)
-        executor = SingleThreadedExecutor(context=context)
-        executor.add_node(node)
         heard: list[Handout | BridgeError] = []
 
         def take(message: Any) -> None:
@@ -107,7 +97,7 @@ def find_trainer(namespace: str, seconds: float) -> Handout:
             car for car in range(MAX_CARS)
             if node.count_publishers(f'{namespace}/{car_space(car)}/{topics.STEP.name}')))
     finally:
-        rclpy.try_shutdown(context=context)
+        rclpy.try_shutdown(context=node.context)
 
 
 def read_handout(data: bytes) -> Handout:

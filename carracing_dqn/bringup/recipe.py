@@ -1,26 +1,17 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a run is learned with: a preset, and what a simulator and a first model change in it."""
+"""What a simulator and a first model change in a preset, as NAME=VALUE for the trainer node."""
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
 
 from carracing_dqn.bringup.models import as_parameter
-from carracing_dqn.studies.simulator_settings import preset_for, settings_from
+from carracing_dqn.studies.simulator_settings import settings_from
 from dqn_policy_node.shipped_models import find_model
 from msgs_bridge.errors import SettingsError
 from trainer_node.hyperparameters import load_preset, settings_of_model
 from trainer_node.open_run import read_overrides
-
-PRESET = 'racing'
-
-
-def choose_preset(preset: str | None, simulator: str | None) -> str:
-    """Return the preset that was named, or that of a simulator's profile, or the default."""
-    if preset is None and simulator is not None:
-        return preset_for(simulator)
-    return preset or PRESET
 
 
 def pairs_of_simulator(name: str | None, preset: str, folder: Path) -> list[str]:

@@ -18,15 +18,13 @@ from carracing_dqn.bringup.graph import (
 )
 from carracing_dqn.bringup.monitor import absolute_namespace, Monitor
 from carracing_dqn.bringup.provenance import with_provenance
-from carracing_dqn.bringup.recipe import (
-    choose_preset, pairs_of_model, pairs_of_simulator, PRESET,
-)
+from carracing_dqn.bringup.recipe import pairs_of_model, pairs_of_simulator
 from carracing_dqn.bringup.run_folders import default_folder, new_folder
 from carracing_dqn.bringup.supervise import check_machine, refuse_second_simulator, run_to_the_end
 from carracing_dqn.bringup.training_display import best_score, training_line, training_table
 from carracing_dqn.simulation import find_simulator
 from carracing_dqn.simulation.profiles import found_from, profile_of
-from carracing_dqn.studies.simulator_settings import PRESET as SIMULATOR_PRESET
+from carracing_dqn.studies.simulator_settings import choose_preset, PRESET, SIMULATOR_PRESET
 from msgs_bridge.errors import BridgeError, SettingsError
 from msgs_bridge.seeds import MAX_CARS
 from msgs_bridge.settings import describe

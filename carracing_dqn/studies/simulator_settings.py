@@ -10,16 +10,20 @@ from typing import Any
 from carracing_dqn.simulation import make_simulator
 from carracing_dqn.simulation.profiles import profile_of, seen_from
 
-PRESET = 'pixels'
+PRESET = 'racing'
+"""Preset of a run that names neither one nor a simulator."""
+SIMULATOR_PRESET = 'pixels'
 """Preset for a simulator whose profile names none."""
 OBSERVATION_SIDE = 42
 """Least rows and columns of what the network of that preset sees, of larger frames."""
 MAX_SHRINK = 8
 
 
-def preset_for(name: str) -> str:
-    """Return the preset that the profile of a simulator names, or that for any."""
-    return str(profile_of(name).training.get('preset', PRESET))
+def choose_preset(preset: str | None, simulator: str | None) -> str:
+    """Return the preset that was named, or that of a simulator's profile, or the default."""
+    if preset is None and simulator is not None:
+        return str(profile_of(simulator).training.get('preset', SIMULATOR_PRESET))
+    return preset or PRESET
 
 
 def settings_from(name: str, preset: str, folder: Path) -> dict[str, Any]:
@@ -37,7 +41,7 @@ def settings_from(name: str, preset: str, folder: Path) -> dict[str, Any]:
     looks = _looks(name)
     shrink = {'shrink': _shrink(looks['frame_height'], looks['frame_width'])}
     values = {'simulator': seen_from(name, folder), **looks,
-              **(shrink if preset == PRESET else {}), **profile_of(name).training}
+              **(shrink if preset == SIMULATOR_PRESET else {}), **profile_of(name).training}
     values.pop('preset', None)
     return values
 

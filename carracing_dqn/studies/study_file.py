@@ -17,7 +17,7 @@ import re
 from typing import Any
 
 from carracing_dqn.studies.errors import StudyError
-from carracing_dqn.studies.simulator_settings import preset_for, settings_from
+from carracing_dqn.studies.simulator_settings import choose_preset, settings_from
 from msgs_bridge.errors import BridgeError, SettingsError
 from msgs_bridge.plain_text import plain
 from msgs_bridge.regular_file import read_regular
@@ -287,8 +287,7 @@ def run_settings_of(study: Study, arm: Arm, seed: int, folder: Path) -> Hyperpar
         BridgeError: an unknown preset or simulator, a value that is not accepted, or no limit.
     """
     simulator = arm.simulator or study.settings.simulator
-    preset = arm.preset or study.settings.preset or (
-        preset_for(simulator) if simulator else 'racing')
+    preset = choose_preset(arm.preset or study.settings.preset or None, simulator or None)
     own = {**study.set, **arm.set}
     for name in ('seed', 'simulator'):
         if name in own:
