@@ -1,6 +1,6 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
-"""Every test session has a ROS domain of its own on this host, and one thread per library."""
+"""Every file of tests has a ROS domain of its own on this host, and one thread per library."""
 import itertools
 import os
 import signal
@@ -10,12 +10,18 @@ import pytest
 
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
 stay_on_this_host()
-os.environ.setdefault('ROS_DOMAIN_ID', str(1 + os.getpid() % 100))
 os.environ['OMP_NUM_THREADS'] = '1'
 # what ignores it, as under nohup, hands that on to the nodes, which then go on when hung up
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 _numbers = itertools.count()
+_first_domain = int(os.environ.get('ROS_DOMAIN_ID', os.getpid()))
+
+
+@pytest.fixture(autouse=True, scope='module')
+def _domain_of_the_file():
+    """Keep nodes of the files before, which may still be ending, from being met in this one."""
+    os.environ['ROS_DOMAIN_ID'] = str(1 + (_first_domain + next(_numbers)) % 100)
 
 
 @pytest.fixture
@@ -24,3 +30,9 @@ def graph(tmp_path):
     from graph_probe import Graph
     with Graph(tmp_path, f'graph{next(_numbers)}') as graph:
         yield graph
+
+
+@pytest.fixture
+def own_domain(monkeypatch):
+    """Keep nodes of the tests before, which may have been killed, from being met in this one."""
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(102 + (os.getpid() + next(_numbers)) % 100))

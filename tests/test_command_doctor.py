@@ -22,7 +22,7 @@ def verdicts(monkeypatch, **environment):
     return {one.name: one for one in machine_findings()}
 
 
-def test_a_machine_that_passes_its_tests_is_well():
+def test_a_machine_that_passes_its_tests_is_well(own_domain):
     said = doctor()
     assert said.returncode == 0, said.stdout + said.stderr
     assert 'nodes find' in said.stdout and 'another node after' in said.stdout

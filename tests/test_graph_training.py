@@ -33,11 +33,7 @@ def preset(tmp_path):
     return str(path)
 
 
-@pytest.fixture(autouse=True)
-def own_domain(monkeypatch, request):
-    """Keep a node that a test has killed from meeting those of the next one."""
-    number = 101 + sum(map(ord, request.node.name)) % 100
-    monkeypatch.setenv('ROS_DOMAIN_ID', str(number))
+pytestmark = pytest.mark.usefixtures('own_domain')
 
 
 def rows(path):
