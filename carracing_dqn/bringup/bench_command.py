@@ -6,7 +6,7 @@ from __future__ import annotations
 import argparse
 import importlib
 
-BENCHMARKS = ('sim', 'graph', 'learner', 'bags', 'cars', 'pyracerz', 'watch')
+BENCHMARKS = ('sim', 'graph', 'learner', 'bags', 'cars', 'pyracerz', 'robustness', 'watch')
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
