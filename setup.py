@@ -78,7 +78,10 @@ setup(
         # rclpy and the messages as wheels, for machines without an installed ROS
         'wheels': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
         'test': [
-            'colcon-core', 'colcon-ros', 'hypothesis', 'mcap-ros2-support', 'pytest', 'ruff'],
+            'colcon-core', 'colcon-ros', 'hypothesis', 'mcap-ros2-support', 'onnx', 'onnxruntime',
+            'pytest', 'ruff'],
+        # `carracing export`
+        'onnx': ['onnx', 'onnxruntime'],
         # to look at the pages of `carracing watch` as a browser shows them
         'browser': ['playwright'],
         # `carracing view`

@@ -18,7 +18,12 @@ LUMA = (77, 150, 29)
 
 
 class Preprocessor:
-    """Turns frames into observations as a `Preprocessing` says; each call allocates one."""
+    """
+    Turns frames into observations as a `Preprocessing` says; each call allocates one.
+
+    Attributes:
+        level_of_sum: uint8, the level of gray of each sum of the weighted channels.
+    """
 
     def __init__(self, description: Preprocessing) -> None:
         """Prepare the tables for a description."""
@@ -38,10 +43,10 @@ class Preprocessor:
             # rounded mean of three channels, by their sum; of three equal ones the value itself
             self._weights = None
             sums = np.arange(3 * 255 + 1)
-            self._level_of_sum = levels[(sums + 1) // 3].astype(np.uint8)
+            self.level_of_sum = levels[(sums + 1) // 3].astype(np.uint8)
         else:
             self._weights = np.array(LUMA, np.uint16)
-            self._level_of_sum = levels[np.arange(256 * 255 + 1) >> 8].astype(np.uint8)
+            self.level_of_sum = levels[np.arange(256 * 255 + 1) >> 8].astype(np.uint8)
 
     def __call__(self, frame: np.ndarray) -> np.ndarray:
         """
@@ -68,7 +73,7 @@ class Preprocessor:
             sums = part[..., 0] * self._weights[0]
             sums += part[..., 1] * self._weights[1]
             sums += part[..., 2] * self._weights[2]
-        gray = self._level_of_sum.take(sums)
+        gray = self.level_of_sum.take(sums)
         shrink = self.description.shrink
         if shrink == 1:
             return gray

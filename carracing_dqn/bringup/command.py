@@ -35,6 +35,8 @@ SUBCOMMANDS = {
               'what of a running simulator or robot does not fit, and what mends it'),
     'report': ('carracing_dqn.evaluation.report_command',
                'figures and tables of the seed document from a run'),
+    'export': ('carracing_dqn.bringup.export_command',
+               'a model as an ONNX file, for programs without this package'),
     'bag': ('bags.command', 'record, play, info, verify, recover and export MCAP bags'),
     'bench': ('carracing_dqn.bringup.bench_command', "benchmarks, each figure beside its peer's"),
 }
