@@ -1,0 +1,35 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""The cards of the shipped models say what their records say."""
+from pathlib import Path
+import shutil
+
+from carracing_dqn.evaluation.model_card import CARD, model_card
+from dqn_policy_node.shipped_models import shipped_models
+import pytest
+
+MODELS = Path(__file__).resolve().parents[1] / 'models'
+
+
+@pytest.mark.parametrize('name', shipped_models())
+def test_a_card_is_what_its_record_makes(name):
+    assert (MODELS / name / CARD).read_text(encoding='utf-8') == model_card(MODELS / name), (
+        f'run python -m carracing_dqn.evaluation.model_card models/{name}')
+
+
+def test_a_card_names_the_worst_seed_and_what_random_actions_earn():
+    card = model_card(MODELS / 'racing')
+    assert '| **training seed 44** | 41 | 930.65 ± 5.86 |' in card
+    assert 'The worst of them by test is seed 43: 926.98 ± 6.99, lowest 906.7.' in card
+    assert '| uniform random actions |  | -53.34 ± 5.43 |' in card
+
+
+def test_a_card_follows_the_record(tmp_path):
+    folder = tmp_path / 'mine'
+    shutil.copytree(MODELS / 'mujoco_car', folder)
+    (folder / 'record' / 'evaluation.json').unlink()
+    shutil.rmtree(folder / 'record' / 'seed_42')
+    shutil.rmtree(folder / 'record' / 'seed_43')
+    card = model_card(folder)
+    assert '## Test' not in card
+    assert 'One training run' in card and 'It learned in `mujoco_car`' in card
