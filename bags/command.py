@@ -54,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
     export = commands.add_parser('export', help='a lap as a video and as a table')
     export.add_argument('bag', help='folder or single file')
-    export.add_argument('--video', metavar='FILE', help='new .mp4 file')
+    export.add_argument('--video', metavar='FILE', help='new .mp4 or .webp file')
     export.add_argument('--csv', metavar='FILE', help='new .csv file, a row per step')
     export.add_argument('--episode', type=int, help='only this episode (default: all)')
     export.add_argument('--scale', type=int, default=4, help='size of the picture (default: 4)')

@@ -21,7 +21,12 @@ from msgs_bridge.stamps import NANOSECONDS
 
 # seconds that the last picture of an episode stays
 PAUSE = 0.5
-CODEC = 'libx264'
+# muxer and its options, encoder and its options, and seconds from picture to picture at least
+FORMATS = {
+    '.mp4': ('mp4', {}, 'libx264', {'crf': '18'}, 0.0),
+    # for pages: plays by itself, again and again, and has to stay small
+    '.webp': ('webp', {'loop': '0'}, 'libwebp_anim', {'quality': '50'}, 0.1),
+}
 MAX_SCALE = 20
 # rows or columns of a picture in the video
 MAX_SIDE = 2160
@@ -74,11 +79,11 @@ def export_video(
     scale: int = 4, speed: float = 1.0,
 ) -> int:
     """
-    Write an H.264 video with reward, speed, controls and Q-values beside the frame.
+    Write a video with reward, speed, controls and Q-values beside the frame.
 
     Args:
         reader: the bag.
-        path: new `.mp4` file.
+        path: new `.mp4` file (H.264), or `.webp`, of ten pictures a second at most.
         namespace: where the topics of the car are; needed if there are several.
         episode: only this one; None = all.
         scale: size of a pixel of the frame in pixels of the video.
@@ -93,8 +98,10 @@ def export_video(
     # the encoder is needed for nothing else in this package
     import av
 
-    if Path(path).suffix.lower() != '.mp4':
-        raise BagError(f'{path}: a video is written as .mp4')
+    suffix = Path(path).suffix.lower()
+    if suffix not in FORMATS:
+        raise BagError(f'{path}: a video is written as {" or ".join(FORMATS)}')
+    muxer, muxing, codec, encoding, apart = FORMATS[suffix]
     _prepare(path)
     if not 1 <= scale <= MAX_SCALE:
         raise BagError(f'scale is {scale}; accepted: 1 to {MAX_SCALE}')
@@ -103,10 +110,11 @@ def export_video(
     seconds = frame_seconds(reader, namespace=namespace)
     base = Fraction(seconds / speed).limit_denominator(100_000)
     painter: FramePainter | None = None
-    pictures = time = 0
+    pictures = time = due = 0
     q_values: dict[str, float] = {}
-    with atomic_file(path) as file, av.open(file, 'w', format='mp4') as container:
-        stream = container.add_stream(CODEC, rate=1 / base, options={'crf': '18'})
+    with atomic_file(path) as file, av.open(
+            file, 'w', format=muxer, options=muxing) as container:
+        stream = container.add_stream(codec, rate=1 / base, options=encoding)
         stream.pix_fmt = 'yuv420p'
         stream.codec_context.time_base = base
         for frame in _chosen(reader, namespace, episode):
@@ -119,9 +127,12 @@ def export_video(
                 stream.width, stream.height = painter.width, painter.height
             # the last frame of an episode leads to no decision
             q_values = frame.q_values or q_values
-            picture = av.VideoFrame.from_ndarray(painter.paint(frame, q_values), format='rgb24')
             if pictures:
                 time += int(frame.step.info.get('frames', 1)) or round(PAUSE / seconds)
+            if time < due:
+                continue
+            due = time + round(apart / base)
+            picture = av.VideoFrame.from_ndarray(painter.paint(frame, q_values), format='rgb24')
             picture.pts, picture.time_base = time, base
             container.mux(stream.encode(picture))
             pictures += 1

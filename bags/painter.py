@@ -11,10 +11,9 @@ from msgs_bridge.step import Q_VALUE_AXES, Q_VALUE_EXTRAS, Step
 
 PANEL_WIDTH = 320
 MARGIN = 14
-LINE = 22
-FONT_SIZE = 15
-# bars of Q-values that fit below the numbers
-MAX_BARS = 12
+# nine actions fit beside a picture of CarRacing
+LINE = 19
+FONT_SIZE = 14
 BACKGROUND = (24, 26, 30)
 TEXT = (230, 230, 230)
 DIM = (150, 150, 155)
@@ -102,12 +101,11 @@ class FramePainter:
         width = PANEL_WIDTH - 170 - 2 * MARGIN
         # of more than there is room for, what was chosen and the highest
         actions = sorted(sorted(
-            actions, key=lambda row: (row[0] not in chosen, -row[2]))[:MAX_BARS])
+            actions, key=lambda row: (row[0] not in chosen, -row[2])
+        )[:(self.height - top) // LINE])
         lowest = min(value for _, _, value in actions)
         spread = max(value for _, _, value in actions) - lowest or 1.0
         for number, name, value in actions:
-            if top + LINE > self.height:
-                return
             colour = TEXT if number in chosen else DIM
             draw.text((left, top), name[:13], colour, self._font)
             draw.text((left + 105, top), f'{value:7.2f}', colour, self._font)

@@ -17,6 +17,7 @@ from bags.errors import BagError
 from bags.export import export_csv, export_video
 from bags.frames import recorded_frames
 from bags.info import bag_info
+from bags.painter import FramePainter, GREEN
 from bags.reader import BagReader
 from bags.schemas import Schema
 from bags.transitions import bag_transitions
@@ -30,6 +31,7 @@ from msgs_bridge.step import read_step
 from msgs_bridge.topics import CMD_VEL, IMAGE, STEP
 from msgs_bridge.twists import Command
 import numpy as np
+from PIL import Image
 import pytest
 import toy_simulator
 
@@ -295,6 +297,24 @@ def test_video_shows_every_frame_for_as_long_as_it_lasted(tmp_path, drive):
         shown = frames[20].to_ndarray(format='rgb24')[:384:4, :384:4].astype(int)
     recorded = list(bag_transitions([drive]))[40 + 20].frame.astype(int)
     assert np.abs(shown - recorded).mean() < 12
+
+
+def test_a_moving_picture_for_pages_plays_for_ever_and_as_long_as_the_lap(tmp_path, drive):
+    path = tmp_path / 'lap.webp'
+    with BagReader(drive) as reader:
+        # 40 frames of 20 ms, ten pictures a second
+        assert export_video(reader, path, episode=1) == 9
+    with Image.open(path) as film:
+        assert (film.n_frames, film.info['loop'], film.size) == (9, 0, (704, 384))
+
+
+@pytest.mark.parametrize(('count', 'chosen'), [(9, 8), (16, 3), (40, 25)])
+def test_the_chosen_action_is_painted_however_many_there_are(drive, count, chosen):
+    with BagReader(drive) as reader:
+        frame = next(recorded_frames(reader))
+    values = {f'action {number}': float(number % 7) for number in range(count)}
+    painted = FramePainter(96, 96, 4).paint(frame, {**values, 'chosen': float(chosen)})
+    assert (painted[210:, 560:] == GREEN).all(axis=2).any()
 
 
 def test_what_a_killed_export_has_left_is_removed_by_the_next(tmp_path, drive):
