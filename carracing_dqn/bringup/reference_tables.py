@@ -1,7 +1,7 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Tables of topics, fields and parameters in the documentation, made from where they are declared.
+Tables of commands, topics, fields and settings in the documentation, made from the code.
 
 `python -m carracing_dqn.bringup.reference_tables README.md docs/*.md` writes them anew between
 their markers; a test holds the pages to them.
@@ -14,6 +14,7 @@ from pathlib import Path
 import re
 import sys
 
+from carracing_dqn.bringup.command import SUBCOMMANDS
 from carracing_dqn.bringup.graph import KINDS
 from carracing_sim_node import info_fields
 from msgs_bridge import step
@@ -23,11 +24,14 @@ from msgs_bridge.topics import ROBOT_TOPICS, Topic, TOPICS, VIEW_TOPICS
 
 SETTINGS = {
     'every_node': ('msgs_bridge.node_shell', 'ShellSettings'),
+    'hyperparameters': ('trainer_node.hyperparameters', 'Hyperparameters'),
     'study': ('carracing_dqn.studies.study_file', 'StudySettings'),
     'search': ('carracing_dqn.studies.search', 'SearchSettings'),
     'gymnasium_env': ('carracing_dqn.simulators.gymnasium_env', 'GymnasiumEnvSettings'),
     **{kind.name: tuple(kind.settings.split(':')) for kind in KINDS}}
-FIELDS = {
+# name -> text
+LISTS = {
+    'commands': {f'carracing {name}': text for name, (_, text) in SUBCOMMANDS.items()},
     'step_core': step.STEP_CORE,
     'step_info': step.STEP_INFO,
     'episode_core': step.EPISODE_CORE,
@@ -53,9 +57,9 @@ def topics_table(topics: Sequence[Topic]) -> str:
 
 
 def table(name: str) -> str:
-    """Return the table of a marker: `topics`, fields of a bundle, or parameters of a node."""
-    if name in FIELDS:
-        rows = [f'| `{field}` | {text} |' for field, text in FIELDS[name].items()]
+    """Return the table of a marker: commands, topics, fields of a bundle, or settings."""
+    if name in LISTS:
+        rows = [f'| `{key}` | {text} |' for key, text in LISTS[name].items()]
         return '\n'.join(['| name | meaning |', '|---|---|', *rows])
     if name in TOPIC_TABLES:
         return topics_table(TOPIC_TABLES[name])
