@@ -21,6 +21,7 @@ from typing import Any
 from carracing_dqn.evaluation.laps import drive_lap, Lap
 from carracing_dqn.evaluation.policies import model_source
 from carracing_dqn.evaluation.statistics import statistics_of
+from carracing_dqn.evaluation.workers import limit_torch_threads
 from carracing_dqn.simulation import make_simulator
 from dqn_policy_node.action_hold import ActionHold
 from dqn_policy_node.policy import Policy
@@ -149,6 +150,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                         help=f'may be given several times; of: {"; ".join(CONDITIONS)}')
     parser.add_argument('--json', type=Path, help='write every lap there, too')
     options = parser.parse_args(arguments)
+    limit_torch_threads()
     table = Table(title=f'{options.model}: {options.laps} greedy laps from seed {options.seed}')
     for column in ('condition', 'mean', 'spread', 'lowest', 'laps\n%', 'frames\na lap'):
         table.add_column(column, justify='left' if column == 'condition' else 'right')
