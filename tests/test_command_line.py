@@ -8,11 +8,13 @@ import sys
 
 from carracing_dqn.bringup import command
 from carracing_dqn.bringup.command import main
+from carracing_dqn.bringup.curve import Curve, MOST_POINTS
 from carracing_dqn.bringup.display import Display
 from carracing_dqn.bringup.monitor import GraphState
 from carracing_dqn.bringup.run_command import laps_line, laps_table
 from carracing_dqn.bringup.training_display import training_line, training_table
 from carracing_dqn.bringup.graph import POLICY, SIMULATOR, TRAINER
+from carracing_dqn.watch.painting import spark
 from dqn_policy_node import load_policy
 from msgs_bridge.settings import describe
 from msgs_bridge.step import EPISODE_CORE, VALIDATION_FIELDS
@@ -147,17 +149,47 @@ def test_what_others_say_is_shown_as_it_is_and_said_once(monkeypatch):
 def test_tables_fit_into_a_small_terminal():
     state = state_of(wall_seconds='61', progress='0.5', weights_version='3', epsilon='1')
     state.health[f'/{POLICY.name}']['weights_version'] = '4'
+    state.health[f'/{TRAINER.name}']['summary'] = 14 * 'ten chars '
     for number in range(40):
         state.ended += 1
         state.episodes.append({**dict.fromkeys(EPISODE_CORE, 1.0), 'seed': float(number)})
         state.validations.append(dict.fromkeys(VALIDATION_FIELDS, 1000.0))
-    for table in (laps_table, training_table):
-        text = io.StringIO()
-        Console(file=text, width=80, height=24).print(table(state, 24))
-        lines = text.getvalue().splitlines()
-        assert len(lines) < 24 and max(map(len, lines)) <= 80
-        assert '…' not in text.getvalue()
-    assert re.search(r'weight age \(versions\) *│ *0 ', text.getvalue())
+        state.curve.add(float(number), float(number))
+    for cars in (0, 40):
+        state.cars = {f'/car_{number}': {'summary': 'learned from'} for number in range(cars)}
+        for table in (laps_table, training_table):
+            text = io.StringIO()
+            Console(file=text, width=80, height=24).print(table(state, 24))
+            lines = text.getvalue().splitlines()
+            assert len(lines) < 24 and max(map(len, lines)) <= 80
+            assert '…' not in text.getvalue()
+        assert cars or re.search(r'weight age \(versions\) *│ *0 ', text.getvalue())
+        assert ('▁' in text.getvalue()) == (not cars)
+
+
+def test_a_curve_shows_the_whole_run_in_bounded_memory():
+    curve = Curve()
+    for second in range(20_000):
+        curve.add(float(second), float(second))
+    assert MOST_POINTS // 4 < len(curve.points) < MOST_POINTS
+    assert curve.points[0][0] == 0.0 and curve.points[-1][0] > 19_900
+    gaps = [later[0] - earlier[0] for earlier, later in zip(curve.points, curve.points[1:])]
+    assert max(gaps) < 3 * 20_000 / MOST_POINTS
+    line = spark([(20_000 - at, value) for at, value in curve.points], 24, 3)
+    rows = line.split('\n')
+    assert [len(row) for row in rows] == [24] * 3
+    assert rows[0][:15].strip() == '' and rows[0][-1] == rows[2][-1] == '█' and rows[2][0] in '▁▂'
+    # a run that is begun anew has a curve of its own
+    curve.add(1.0, 5.0)
+    assert curve.points == [(1.0, 5.0)]
+
+
+def test_what_a_trainer_lacks_stands_in_the_line():
+    state = state_of(wall_seconds='60', episodes='0', decisions='7')
+    state.health[f'/{TRAINER.name}']['summary'] = 'too slow for this recipe'
+    assert '; too slow for this recipe' in training_line(state)
+    state.health[f'/{TRAINER.name}']['summary'] = 'learning'
+    assert ';' not in training_line(state)
 
 
 def test_a_line_before_the_first_episode_claims_no_return():

@@ -20,6 +20,7 @@ import time
 
 from msgs_bridge.errors import MessageError
 from msgs_bridge.transitions import Transition
+from trainer_node.outlook import Outlook
 from trainer_node.training import Training
 
 # a snapshot of the figures is taken every so many transitions
@@ -44,6 +45,7 @@ class Driver:
         done: whether nothing more is waited for.
         status: figures of a moment ago, a new mapping each time.
         left_out: why the last transition that could not be used was left out, or ''.
+        outlook: where the run will end by its present pace.
     """
 
     def __init__(
@@ -67,6 +69,7 @@ class Driver:
         self.ended = self.done = False
         self.left_out = ''
         self.status = training.status()
+        self.outlook = Outlook(training.settings)
         self._publish = publish
         self._last_validation_seconds = last_validation_seconds
         self._say, self._warn = say, warn
@@ -106,7 +109,8 @@ class Driver:
             self.left_out = str(error)
             self._warn(source or 'learning', f'left out: {error}')
         if self.training.learning.taken % STATUS_EVERY == 0:
-            self.status = self.training.status()
+            self.outlook.note(self.training.moment)
+            self._take_figures()
 
     def turn(self) -> bool:
         """
@@ -136,7 +140,7 @@ class Driver:
         if self.ended:
             return
         self.ended = True
-        self.status = self.training.status()
+        self._take_figures()
         if not self._last_validation_seconds:
             self.done = True
             return
@@ -179,4 +183,9 @@ class Driver:
                       f'{values["mean"]:.1f}')
         if values['version'] == self._last_version:
             self.done = True
-        self.status = self.training.status()
+        self._take_figures()
+
+    def _take_figures(self) -> None:
+        ahead = self.outlook.epsilon
+        self.status = {**self.training.status(),
+                       **({} if ahead is None else {'epsilon_at_end': ahead})}

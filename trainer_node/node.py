@@ -81,6 +81,7 @@ class TrainerNode(NodeShell):
         self._problems: dict[str, str] = {}
         self._failure: Exception | None = None
         self._holding = False
+        self._said_of_pace = ''
         self._stopping = threading.Event()
         self._weights_publisher = self.publisher(topics.WEIGHTS)
         if self._names:
@@ -210,10 +211,18 @@ class TrainerNode(NodeShell):
         values = {**self._driver.status, **self._source_figures(), 'holding': self._holding}
         if self._failure is not None:
             return DiagnosticStatus.ERROR, f'failed: {self._failure}', values
-        problem = self._problem()
+        problem = self._problem() or self._pace()
         if problem:
             return DiagnosticStatus.WARN, problem, values
         return DiagnosticStatus.OK, 'learning', values
+
+    def _pace(self) -> str:
+        """Return that the run will end too soon, '' if it will not; the log has it once."""
+        warning = '' if self._driver.ended else self._driver.outlook.warning
+        if warning and not self._said_of_pace:
+            self.get_logger().warn(warning)
+        self._said_of_pace = self._said_of_pace or warning
+        return warning
 
     def _source_figures(self) -> dict[str, object]:
         if not self._names:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 import dataclasses
 from typing import Any
 
+from carracing_dqn.bringup.curve import Curve
 from carracing_dqn.bringup.graph import KINDS, TRAINER
 from msgs_bridge import topics
 from msgs_bridge.errors import MessageError
@@ -42,6 +43,7 @@ class GraphState:
         validations: the newest results of validation, oldest first.
         health: diagnostics values by full node name, the summary among them.
         cars: what the trainer says of each of several cars, by its namespace.
+        curve: mean return of the trainer's last episodes over the wall seconds of its run.
         rejected: messages that could not be used.
     """
 
@@ -52,6 +54,7 @@ class GraphState:
     validations: deque = dataclasses.field(default_factory=lambda: deque(maxlen=KEPT_RESULTS))
     health: dict[str, dict[str, str]] = dataclasses.field(default_factory=dict)
     cars: dict[str, dict[str, str]] = dataclasses.field(default_factory=dict)
+    curve: Curve = dataclasses.field(default_factory=Curve)
     rejected: int = 0
 
     def value(
@@ -99,6 +102,8 @@ class GraphState:
                 cars[part] = values
         if any(one.node == trainer for one in said):
             self._take_cars(cars)
+            self.curve.add(*(self.value(TRAINER.name, name)
+                             for name in ('wall_seconds', 'mean_return')))
 
     def _take_cars(self, cars: dict[str, dict[str, str]]) -> None:
         for name in self.cars.keys() - cars.keys():
@@ -142,6 +147,10 @@ class Monitor(ListeningNode):
     def simulators(self, space: str = '') -> int:
         """Return how many simulators publish images in this namespace, or in one below it."""
         return self._node.count_publishers('/'.join(filter(None, (space, topics.IMAGE.name))))
+
+    def publishers(self, topic: str) -> int:
+        """Return how many publish a topic, by its absolute name."""
+        return self._node.count_publishers(topic)
 
     def _checked(self, take: Callable[[Any], None]) -> Callable[[Any], None]:
         def callback(message: Any) -> None:

@@ -116,5 +116,6 @@ def count_steps(bags: Iterable[Path], namespace: str) -> int:
 def status_line(training: Training) -> str:
     """Return how far learning is as one line."""
     status = training.status()
-    return (f'{status["decisions"]} transitions, {status["updates"]} updates, '
-            f'{status["foreign_actions"]} actions that are not in the set')
+    return (f'{training.progress:.0%} done, {status["decisions"]} transitions, '
+            f'{status["updates"]} updates, {status["foreign_actions"]} actions that are not in '
+            'the set')

@@ -11,7 +11,10 @@ from pathlib import Path
 from carracing_dqn.bringup.graph import POLICY, SIMULATOR, TRAINER
 from carracing_dqn.bringup.cars_display import cars_in_words, cars_table
 from carracing_dqn.bringup.monitor import GraphState
+from carracing_dqn.watch.painting import spark
+from dqn_policy_node.model_record import read_model_record
 from msgs_bridge.errors import BridgeError
+from msgs_bridge.plain_text import plain
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
@@ -23,6 +26,7 @@ LIVE_VALUES = (
     ('decisions', 'decisions', '.0f'),
     ('updates', 'updates', '.0f'),
     ('epsilon', 'epsilon', '.3f'),
+    ('epsilon at the end, about', 'epsilon_at_end', '.2f'),
     ('learning rate', 'learning_rate', '.2e'),
     ('updates/s', 'updates_per_second', '.1f'),
     ('samples per transition', 'replay_ratio', '.2f'),
@@ -34,15 +38,21 @@ LIVE_VALUES = (
 )
 """Label, name in the trainer's diagnostics and format of what the display shows."""
 
+# what a trainer says that lacks nothing
+WELL = ('starting', 'learning')
 SHOWN_VALIDATIONS = 3
+WIDTH = 80
+# of what the trainer says, so that it stays in two lines
+MAX_SUMMARY = 150
 
-FRAME = 4
-"""Lines of a table that are no rows: title, frame, prompt."""
+CURVE_ROWS = 3
+FRAME = 5
+"""Lines of a table that are no rows: frame, what the trainer says, prompt."""
 
 
 def training_table(state: GraphState, rows: int) -> RenderableType:
     """Return the state of learning as tables of 80 columns and fewer than `rows` lines."""
-    table = Table(title=Text(state.summary(TRAINER.name)), show_header=False, padding=(0, 1))
+    table = Table(show_header=False, padding=(0, 1))
     for _ in range(2):
         table.add_column()
         table.add_column(justify='right')
@@ -50,16 +60,33 @@ def training_table(state: GraphState, rows: int) -> RenderableType:
     half = (len(entries) + 1) // 2
     for left, right in zip(entries[:half], [*entries[half:], ('', '')]):
         table.add_row(*left, *right)
-    validations = [
-        f'{result["version"]:.0f}: {result["mean"]:.1f} ± {result["std"]:.1f}, '
-        f'{result["completed"]:.0%} completed'
-        for result in list(state.validations)[-SHOWN_VALIDATIONS:]]
+    said = state.summary(TRAINER.name)
+    parts: list[RenderableType] = [
+        Text(plain(said, MAX_SUMMARY), style='' if said in WELL else 'yellow'), table]
+    validations = list(state.validations)[-1 if state.cars else -SHOWN_VALIDATIONS:]
     if validations:
-        table.caption = 'validation of version ' + '\n'.join(validations)
-    if not state.cars:
-        return table
-    used = table.row_count + len(validations) + FRAME
-    return Group(table, cars_table(state, rows - used))
+        parts.append(Text('validation of version ' + '\n'.join(
+            f'{result["version"]:.0f}: {result["mean"]:.1f} ± {result["std"]:.1f}, '
+            f'{result["completed"]:.0%} completed' for result in validations)))
+    used = table.row_count + FRAME + len(validations)
+    if state.cars:
+        # the rest of the screen is theirs
+        parts.append(cars_table(state, rows - used))
+    elif rows - used > CURVE_ROWS:
+        parts += _curve(state)
+    return Group(*parts)
+
+
+def _curve(state: GraphState) -> Iterator[Text]:
+    """Yield the returns so far as a line of words and lines of bars, once there are some."""
+    points = state.curve.points
+    if len(points) < 2:
+        return
+    last, values = points[-1][0], [value for _, value in points]
+    yield Text(f'return, moving average: {min(values):.1f} to {max(values):.1f} within '
+               f'{(last - points[0][0]) / 60:.1f} min', style='dim')
+    yield Text(spark([(last - at, value) for at, value in points], WIDTH - 1, CURVE_ROWS),
+               style='blue')
 
 
 def _entries(state: GraphState) -> Iterator[tuple[str, str]]:
@@ -102,18 +129,20 @@ def training_line(state: GraphState) -> str:
              + show('{} updates/s', 'updates_per_second', '.1f')
              + show('{} decisions/s', 'decisions_per_second', '.0f', SIMULATOR.name))
     line += cars_in_words(state)
+    if state.summary(TRAINER.name) not in WELL:
+        line += f'; {state.summary(TRAINER.name)}'
     if state.validations:
         result = state.validations[-1]
         line += f'; validation {result["mean"]:.1f} ± {result["std"]:.1f}'
     return line
 
 
-def best_score(folder: Path) -> str:
-    """Return the validation score of the best model in brackets, or nothing."""
-    # on first use, because torch takes a second to load
-    from dqn_policy_node.model_folder import load_model
+def model_score(folder: Path) -> str:
+    """Return what the validation said of a model of a run, in brackets."""
     with contextlib.suppress(BridgeError, KeyError, TypeError, ValueError):
-        score = float(load_model(folder).training['best_validation']['mean'])
-        if math.isfinite(score):
-            return f' (validation {score:.1f})'
-    return ''
+        record = read_model_record(folder)
+        for result in (record.training['validation'], record.training['best_validation']):
+            # of the version that was validated last there may be a later one
+            if result and result['version'] == record.version:
+                return f' (validation {float(result["mean"]):.1f})'
+    return ' (not validated)'

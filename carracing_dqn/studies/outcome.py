@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 import contextlib
 import dataclasses
-import json
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,7 @@ from carracing_dqn.evaluation.tables import read_table, Table
 from carracing_dqn.studies.one_run import LAPS, learned, PLAN
 from carracing_dqn.studies.schedule import FAILURE
 from carracing_dqn.studies.study_file import PlannedRun, StudySettings
-from dqn_policy_node.model_folder import MODEL_FILE
+from dqn_policy_node.model_record import read_model_record
 from msgs_bridge.errors import BridgeError
 from msgs_bridge.plain_text import plain
 from msgs_bridge.regular_file import read_regular
@@ -31,7 +30,6 @@ DONE, FAILED, UNFINISHED, NOT_BEGUN = 'done', 'failed', 'not finished', 'not beg
 LAST_EPISODES = 100
 WINDOW = 20
 MAX_FAILURE_BYTES = 2**16
-MAX_MODEL_BYTES = 2**22
 FIGURES = ('decisions', 'episodes', 'updates')
 
 
@@ -157,9 +155,9 @@ def _figures(folder: RunFolder, episodes: Table) -> dict[str, float]:
         if len(values := _column(episodes, name)):
             figures[name] = float(values[-1])
     found: dict[str, Any] = {}
-    with contextlib.suppress(BridgeError, ValueError, KeyError, TypeError):
-        model = json.loads(read_regular(folder.final / MODEL_FILE, MAX_MODEL_BYTES, BridgeError))
-        found = {name: model['training'][name] for name in FIGURES}
+    with contextlib.suppress(BridgeError, KeyError):
+        training = read_model_record(folder.final).training
+        found = {name: training[name] for name in FIGURES}
     updates, _ = read_table(folder.updates, ())
     if len(values := _column(updates, 'q_mean')):
         found['q_mean'] = float(values[-1])

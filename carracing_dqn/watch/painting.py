@@ -77,7 +77,7 @@ def drive(shown: dict[str, Any]) -> Text:
     actions = now.get('actions', [])
     values = [value for _, value in actions if value is not None]
     for index, (name, value) in enumerate(actions):
-        taken = index == now['chosen']
+        taken = index in now['chosen']
         # the bars show the differences, which are small beside the values
         spread = (max(values) - min(values)) or 1.0
         part = 0.0 if value is None else (value - min(values)) / spread
@@ -128,20 +128,23 @@ def plots(shown: dict[str, Any], columns: int) -> Text:
     return text if text else Text('nothing to plot yet', style='dim')
 
 
-def spark(points: Sequence[tuple[float, float]], columns: int) -> str:
-    """Return (seconds ago, value) as a line of bars, oldest first."""
+def spark(points: Sequence[tuple[float, float]], columns: int, rows: int = 1) -> str:
+    """Return (seconds ago, value) as bars in lines of some columns, oldest first."""
     oldest = max(points[0][0], 1e-9)
     low, high = min(value for _, value in points), max(value for _, value in points)
     cells: list[float | None] = [None] * columns
     for ago, value in points:
         cells[min(columns - 1, int((1 - ago / oldest) * columns))] = value
     known = low
-    line = []
+    # heights in eighths of a line, at least one
+    heights, most = [], rows * len(BARS)
     for cell in cells:
         known = known if cell is None else cell
         part = 0.0 if high == low else (known - low) / (high - low)
-        line.append(BARS[min(len(BARS) - 1, int(part * len(BARS)))])
-    return ''.join(line)
+        heights.append(1 + min(most - 1, int(part * most)))
+    return '\n'.join(
+        ''.join((' ' + BARS)[min(max(height - below, 0), len(BARS))] for height in heights)
+        for below in range(most - len(BARS), -1, -len(BARS)))
 
 
 def number(value: float | None, digits: int = 2) -> str:
