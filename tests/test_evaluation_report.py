@@ -4,6 +4,7 @@
 import base64
 import contextlib
 import json
+from pathlib import Path
 import re
 from xml.etree import ElementTree
 
@@ -12,7 +13,9 @@ from carracing_dqn.evaluation.figures import draw, FIGURES, NothingToShow
 from carracing_dqn.evaluation.records import load_run, Run
 from carracing_dqn.evaluation.report_command import _compare_with_record
 from carracing_dqn.evaluation.report_page import make_pictures, markdown, Picture, render
+from carracing_dqn.evaluation.results import read_json
 from evaluation_cases import lap, write_run
+from msgs_bridge.share import share_path
 import numpy as np
 import pytest
 
@@ -132,6 +135,35 @@ def test_the_dummy_agent_is_driven_when_nobody_has(
     assert -100 < tables['run']['figures']['dummy_mean']['value'] < 0
     assert carracing(['report', str(run), '--laps', '0']) == 0
     assert 'driving' not in capsys.readouterr().out
+
+
+def test_laps_of_the_dummy_agent_that_were_driven_before_ctrl_c_are_kept(
+    tmp_path, monkeypatch, capsys, no_figures,
+):
+    monkeypatch.setattr('carracing_dqn.evaluation.report_command.DUMMY_LAPS', 3)
+
+    def stopped(source, seeds, **_):
+        yield lap(next(iter(seeds)), -30.0)
+        raise KeyboardInterrupt
+
+    run = write_run(tmp_path / 'run', CURVE)
+    with monkeypatch.context() as patch:
+        patch.setattr('carracing_dqn.evaluation.report_command.drive_laps', stopped)
+        for kept in (1, 2):
+            assert carracing(['report', str(run), '--laps', '0']) == 130
+            assert f'stopped; {kept} laps are in' in capsys.readouterr().out
+    assert carracing(['report', str(run), '--laps', '0']) == 0
+    assert 'driving 1 now' in capsys.readouterr().out
+    assert len(read_json(run / 'report' / 'dummy.json').laps) == 3
+
+
+def test_a_report_of_a_model_leaves_its_folder_alone(tmp_path, monkeypatch, no_figures):
+    monkeypatch.chdir(tmp_path)
+    model = share_path(Path('models') / 'racing')
+    before = sorted(model.rglob('*'))
+    assert carracing(['report', str(model), '--laps', '0']) == 0
+    assert (tmp_path / 'runs' / 'report-racing' / 'report.html').is_file()
+    assert sorted(model.rglob('*')) == before
 
 
 def test_runs_of_one_name_are_told_apart(tmp_path, no_figures):

@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator
 import dataclasses
+import functools
 import os
 from pathlib import Path
 import re
@@ -14,11 +15,12 @@ import sys
 import time
 
 from carracing_dqn.evaluation.errors import EvaluationError
+from carracing_dqn.evaluation.kept_laps import keep_laps
 from carracing_dqn.evaluation.lap_series import drive_laps
 from carracing_dqn.evaluation.laps import Lap
 from carracing_dqn.evaluation.policies import MODEL, parse_policy, PolicySource
-from carracing_dqn.evaluation.progress import LapProgress, summary_table
-from carracing_dqn.evaluation.results import Results, resume, write_csv, write_json
+from carracing_dqn.evaluation.progress import summary_table
+from carracing_dqn.evaluation.results import Results, resume, RUNS, write_csv, write_json
 from carracing_dqn.evaluation.through_graph import drive_laps_through_graph, RunGraph
 from carracing_dqn.evaluation.workers import limit_torch_threads
 from carracing_dqn.simulation import find_simulator, simulator_names
@@ -30,7 +32,6 @@ TEST_SEED = 100_000
 """First track of a test: training and validation draw theirs from lower seeds."""
 
 DEFAULT_MODEL = 'racing'
-RUNS = Path('runs')
 KEPT_IN = 'RUN/evaluation-<time>.json, without a run runs/evaluate-<policy>-<time>.json'
 
 LARGEST_SEED = 2**31 - 1
@@ -109,7 +110,8 @@ def main(arguments: argparse.Namespace, *, run_graph: RunGraph | None = None) ->
         say(console, f'{len(seeds) - len(todo)} of {len(seeds)} laps are in {arguments.json} '
                      'already')
     laps = _laps(arguments, source, todo, run_graph)
-    interrupted = _drive(arguments, laps, results, console)
+    interrupted = keep_laps(
+        laps, results, console, functools.partial(_write, arguments, results))
     if results.laps:
         console.print(summary_table(source.name, results.ordered))
     for path in (arguments.json, arguments.csv):
@@ -130,27 +132,6 @@ def _new_file(source: PolicySource) -> Path:
     stem = f'{kind}-{time.strftime("%Y%m%d-%H%M%S")}'
     places = (Path(folder or RUNS) / f'{stem}{more}.json' for more in ('', *range(-1, -1000, -1)))
     return next(path for path in places if not path.exists())
-
-
-def _drive(
-    arguments: argparse.Namespace, laps: Iterator[Lap], results: Results, console: Console,
-) -> bool:
-    """Drive what is left and keep every lap at once; return whether it was interrupted."""
-    spent, started = results.seconds, time.monotonic()
-    try:
-        with LapProgress(results.ordered, results.wanted, console) as progress:
-            for lap in laps:
-                results.laps[lap.seed] = lap
-                results.seconds = spent + time.monotonic() - started
-                _write(arguments, results)
-                progress.add(lap)
-        # when nothing was left to drive, a file may still have been asked for
-        _write(arguments, results)
-    except KeyboardInterrupt:
-        return True
-    finally:
-        laps.close()
-    return False
 
 
 def _laps(

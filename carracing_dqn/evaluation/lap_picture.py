@@ -55,6 +55,7 @@ def lap_picture(trajectory: Trajectory, *, phone: bool = False) -> Figure:
         limits = TwoSlopeNorm(vmin=COSTS, vcenter=0.0, vmax=max(1.0, float(rate.max())))
         bar = _map(figure, reward_axes, trajectory, rate, 'Reward', 'points/s', _LOSS_AND_GAIN,
                    limits)
+        bar.set_label('losses and gains each on a scale of their own', fontsize='small')
         bar.set_ticks([COSTS, *np.arange(0.0, limits.vmax, 20.0)])
         handles, labels = speed_axes.get_legend_handles_labels()
         figure.legend(handles, labels, loc='outside lower center', ncols=2 if stacked else 5)

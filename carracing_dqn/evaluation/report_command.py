@@ -13,19 +13,21 @@ from typing import Any
 from carracing_dqn.evaluation.comparison import compare, judge
 from carracing_dqn.evaluation.errors import EvaluationError
 from carracing_dqn.evaluation.figure_style import save_figure
+from carracing_dqn.evaluation.kept_laps import keep_laps
 from carracing_dqn.evaluation.lap_series import drive_laps
 from carracing_dqn.evaluation.laps import Lap
 from carracing_dqn.evaluation.policies import MODEL, PolicySource
-from dqn_policy_node.shipped_models import RANDOM
 from carracing_dqn.evaluation.records import add_results, load_run, Run
 from carracing_dqn.evaluation.report_page import lap_pictures, make_pictures, markdown, render
-from carracing_dqn.evaluation.results import read_json, Results, write_json
+from carracing_dqn.evaluation.results import Results, resume, RUNS, write_json
 from carracing_dqn.evaluation.trajectory import drive_trajectory, Trajectory
 from carracing_dqn.evaluation.workers import limit_torch_threads
 from carracing_dqn.simulation import make_simulator
+from dqn_policy_node.model_record import MODEL_FILE
+from dqn_policy_node.shipped_models import RANDOM
 from msgs_bridge.atomic_write import write_text
 from msgs_bridge.errors import BridgeError
-from msgs_bridge.machine import describe_machine
+from msgs_bridge.machine import cores, describe_machine
 from msgs_bridge.terminal import say
 from msgs_bridge.share import share_path
 from rich.console import Console
@@ -46,7 +48,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='lay another run over it, any number of times; seed: only the seed document, which '
         'is always there')
     parser.add_argument('--output', type=Path, metavar='DIR',
-                        help='folder to write to (default: RUN/report)')
+                        help='folder to write to (default: RUN/report, of a model '
+                        f'{RUNS}/report-NAME)')
     parser.add_argument(
         '--evaluation', type=Path, metavar='FILE',
         help='test laps of the model, written by carracing evaluate --json (default: '
@@ -79,15 +82,14 @@ def main(arguments: argparse.Namespace) -> int:
     for run in runs:
         if run.evaluation is None:
             run.problems.append(
-                'There are no test laps; carracing evaluate --model RUN --json '
-                'RUN/evaluation.json drives them.')
+                'There are no test laps; carracing evaluate --model RUN drives them.')
     for run in runs[1:]:
         if run.simulator != runs[0].simulator and not (
                 run.in_carracing and runs[0].in_carracing):
             raise EvaluationError(f'{run.name} learned in {run.simulator}, {runs[0].name} in '
                                   f'{runs[0].simulator}: they cannot be laid over each other')
     _distinct_names(runs)
-    output = arguments.output or _find(arguments.run) / 'report'
+    output = arguments.output or _place(_find(arguments.run))
     _make_folder(output / 'figures')
     _need_dummy(runs, output, console)
     laps = lap_pictures(list(_trajectories(runs[0], arguments.laps, console)))
@@ -120,26 +122,46 @@ def _find(text: str) -> Path:
     return Path(text).expanduser()
 
 
+def _place(folder: Path) -> Path:
+    """Return where the report of a run goes; nothing is added to the folder of a model."""
+    if (folder / MODEL_FILE).is_file():
+        return RUNS / f'report-{folder.resolve().name}'
+    return folder / 'report'
+
+
 def _need_dummy(runs: list[Run], output: Path, console: Console) -> None:
     """Give every run the laps of the dummy agent; drive them if nobody has."""
     dummy = next((run.dummy for run in runs if run.dummy is not None), None)
-    if dummy is None and (output / 'dummy.json').is_file():
-        dummy = read_json(output / 'dummy.json')
     if dummy is None:
-        simulator = 'fast' if runs[0].in_carracing else runs[0].simulator
-        laps = DUMMY_LAPS if runs[0].in_carracing else FEWER_LAPS
-        say(console, f'no laps of the dummy agent: driving {laps} now')
-        source = PolicySource(RANDOM)
-        dummy = Results(source.identity(), simulator, wanted=laps, machine=describe_machine())
-        seeds = range(DUMMY_SEED, DUMMY_SEED + laps)
-        dummy.laps = {lap.seed: lap for lap in drive_laps(source, seeds, simulator=simulator)}
-        dummy.seconds = sum(lap.seconds for lap in dummy.laps.values())
-        try:
-            write_json(output / 'dummy.json', dummy)
-        except OSError as error:
-            raise EvaluationError(f'{output} cannot be written: {error.strerror}') from None
+        dummy = _drive_dummy(runs[0], output / 'dummy.json', console)
     for run in runs:
         run.dummy = run.dummy or dummy
+
+
+def _drive_dummy(run: Run, path: Path, console: Console) -> Results:
+    """Return laps of the dummy agent in a run's simulator, out of a file as far as it has them."""
+    simulator = 'fast' if run.in_carracing else run.simulator
+    seeds = range(DUMMY_SEED, DUMMY_SEED + (DUMMY_LAPS if run.in_carracing else FEWER_LAPS))
+    source = PolicySource(RANDOM)
+    dummy = resume(path, source.identity(), simulator, seeds)
+    todo = [seed for seed in seeds if seed not in dummy.laps]
+    if not todo:
+        return dummy
+    dummy.wanted, dummy.machine = len(seeds), describe_machine()
+    say(console, f'no laps of the dummy agent: driving {len(todo)} now')
+
+    def write() -> None:
+        try:
+            write_json(path, dummy)
+        except OSError as error:
+            raise EvaluationError(f'{path} cannot be written: {error.strerror}') from None
+
+    if keep_laps(drive_laps(source, todo, simulator=simulator, processes=cores()), dummy, console,
+                 write):
+        say(console, f'stopped; {len(dummy.laps)} laps are in {path}, from where the same command '
+                     'goes on')
+        raise KeyboardInterrupt
+    return dummy
 
 
 def _trajectories(

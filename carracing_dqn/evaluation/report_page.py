@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import base64
+from collections import Counter
 from collections.abc import Sequence
 import dataclasses
 import importlib.resources
@@ -21,6 +22,8 @@ import jinja2
 from matplotlib.figure import Figure
 
 TEMPLATE = 'report.html.j2'
+# what so many rows of a table would say is said once below it
+SAID_ONCE = 3
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,7 +77,8 @@ def render(runs: Sequence[Run], pictures: Sequence[Picture], laps: Sequence[Pict
     template = environment.from_string(
         importlib.resources.files('carracing_dqn.evaluation').joinpath(TEMPLATE).read_text(encoding='utf-8'))
     return template.render(
-        runs=runs, document=seed_document, groups=comparison_groups(runs),
+        runs=runs, document=seed_document,
+        groups=[(group, rows, _often(rows)) for group, rows in comparison_groups(runs)],
         verdicts=[judge(run) for run in runs], headlines=headlines(runs[0]),
         statistics=[(run.name, summary_rows(run.evaluation.statistics))
                     for run in runs if run.evaluation is not None],
@@ -93,13 +97,22 @@ def comparison_groups(
     return list(groups.items())
 
 
+def _often(rows: Sequence[tuple[seed_document.Figure, list[Measured]]]) -> list[str]:
+    """Return why nothing was measured, where several rows of a group say the same of it."""
+    reasons = Counter(
+        value.text for _, measured in rows for value in measured if value.value is None)
+    return [text for text, count in reasons.items() if count >= SAID_ONCE and text[0] == '–']
+
+
 def headlines(run: Run) -> list[tuple[str, str, str]]:
     """Return number, label and the document's number, for the top of the page."""
     stated = {figure.key: figure for figure in seed_document.FIGURES}
     measured = {figure.key: value for figure, value in compare(run)}
     rows: list[tuple[str, str, str]] = []
     for key, label in () if not run.in_carracing else (
-        ('test_mean', 'mean return'), ('test_completed', 'laps finished'),
+        ('test_mean', 'mean return') if run.evaluation is not None
+        else ('validation_maximum', 'best validation'),
+        ('test_completed', 'laps finished'),
         ('test_900', 'laps of 900 or more'), ('hours', 'training time'),
     ):
         if measured[key].value is None:

@@ -17,6 +17,8 @@ from msgs_bridge.atomic_write import write_text
 
 FORMAT = 'carracing_dqn evaluation 1'
 MAX_BYTES = 64 * 2**20
+# where commands write what belongs to no run
+RUNS = Path('runs')
 COLUMNS = tuple(field.name for field in dataclasses.fields(Lap))
 
 
