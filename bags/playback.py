@@ -15,6 +15,9 @@ from bags.messages import BagMessage
 NANOSECONDS = 1e9
 # A sleep wakes some 60 us late; a wait that can be interrupted some 100 us later still.
 LAST_SLEEP = 0.002
+# what a person chooses from: speeds, and by how much of the bag to go back or on
+RATES = (0.1, 0.25, 0.5, 1.0, 2.0, 5.0, 20.0)
+SKIP_SECONDS = 5.0
 # A bag may be played for days; this much tells how well the time was kept lately.
 LATE_KEPT = 100_000
 
@@ -61,10 +64,26 @@ class Playback:
         self._held = False
         self._steps = 0
         self._stopped = False
+        self._wound_to: int | None = None
         self._change = threading.Condition()
         # wall time and time of the bag that belong together; set when playing begins or goes on
         self._anchor: tuple[float, int] | None = None
         self._next_tick = 0.0
+
+    @property
+    def paused(self) -> bool:
+        """Return whether it waits for `pause(False)` or `step()`."""
+        return self._paused
+
+    @property
+    def held(self) -> bool:
+        """Return whether a slow listener holds it back."""
+        return self._held
+
+    @property
+    def rate(self) -> float:
+        """Return the speed; 0 = as fast as messages are taken."""
+        return self._rate
 
     @property
     def unpaced(self) -> bool:
@@ -72,11 +91,11 @@ class Playback:
         return self._rate == 0
 
     def play(self, messages: Iterable[BagMessage]) -> None:
-        """Play messages in their order until they end or `stop` is called."""
+        """Play messages in their order until they end, or `stop` or `wind` is called."""
         self._anchor = None
         for message in messages:
             due = self._wait_until(message.log_time)
-            if self._stopped:
+            if self._stopped or self._wound_to is not None:
                 return
             self.now = message.log_time
             if due is not None:
@@ -117,6 +136,18 @@ class Playback:
                 self._anchor = None
                 self._change.notify_all()
 
+    def wind(self, place: int) -> None:
+        """End `play` before its next message; `wound` tells its caller to go on at a place."""
+        with self._change:
+            self._wound_to = self.now = place
+            self._change.notify_all()
+
+    def wound(self) -> int | None:
+        """Return the time of the bag in ns to go on at, None if it was not wound since."""
+        with self._change:
+            place, self._wound_to = self._wound_to, None
+            return place
+
     def stop(self) -> None:
         """End `play` before the next message."""
         with self._change:
@@ -136,7 +167,7 @@ class Playback:
         """Wait until a message is due; return the wall time it was due at, None if unpaced."""
         while True:
             with self._change:
-                if self._stopped:
+                if self._stopped or self._wound_to is not None:
                     return None
                 if self._paused or self._held:
                     if self._steps and not self._held:
@@ -179,3 +210,10 @@ class Playback:
             self._next_tick = max(self._next_tick + self._clock_seconds,
                                   wall + self._clock_seconds / 2)
             self._publish_clock(bag_time)
+
+
+def next_rate(rate: float, direction: int) -> float:
+    """Return the next of `RATES` above a speed (direction 1) or below it (-1)."""
+    above = (one for one in RATES if rate and one > rate)
+    below = (one for one in RATES if not rate or one < rate)
+    return min(above, default=rate) if direction > 0 else max(below, default=rate)

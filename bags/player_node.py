@@ -4,6 +4,9 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
+import contextlib
+import functools
 from itertools import islice
 import sys
 import threading
@@ -13,26 +16,31 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import TwistStamped
 from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
+from bags.decode import decode_bundle
 from bags.errors import BagError
 from bags.last_line import say
 from bags.listeners import Listeners
 from bags.live_qos import offer_for
-from bags.lockstep import Answers
+from bags.lockstep import Answers, Comparison
 from bags.mcap_file import ENCODING
 from bags.messages import BagMessage
 from bags.playback import Playback
+from bags.player_terminal import PlayerTerminal
 from bags.read_ahead import ReadAhead
 from bags.reader import BagReader
 from bags.settings import ALL, names_of, PlayerSettings, resolved_names
+from msgs_bridge.errors import BridgeError
 from msgs_bridge.message_types import message_class
 from msgs_bridge.node_shell import Finished, NodeShell, run_node
 from msgs_bridge.plain_text import plain
 from msgs_bridge.stamps import set_stamp
-from msgs_bridge.topics import CLOCK, CMD_VEL, IMAGE, TOPICS
+from msgs_bridge.topics import CLOCK, CMD_VEL, IMAGE, Q_VALUES, TOPICS
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks
+from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, qos_profile_sensor_data
 from rclpy.qos_overriding_options import QoSOverridingOptions
@@ -49,6 +57,8 @@ FIRST_MESSAGES = 500
 # history is new, but not for long: one of them may have stopped.
 CONFIRM_PART, CONFIRM_SECONDS = 2, Duration(seconds=1)
 LOOK_SECONDS = 0.02
+# Q-values of who drives that may wait to be compared
+COMPARED_DEPTH = 500
 # how often it is looked who listens
 LISTENERS_SECONDS = 0.5
 # what DDS may need to find a subscription once its publisher was found
@@ -73,10 +83,14 @@ class BagPlayerNode(NodeShell):
     `qos_overrides.*` change it); `/clock` if `clock_rate` is set (a recorded `/clock` is left out
     then); `/diagnostics`.
 
-    Subscribes: with `answer_timeout`, `cmd_vel` beside each `image_raw`.
+    Subscribes: with `answer_timeout`, `cmd_vel` beside each `image_raw`, and `q_values`, which are
+    compared with the recorded ones.
 
     Services: `~/pause` (std_srvs/SetBool), `~/step` (std_srvs/Trigger): one message while paused;
     `~/hold` (std_srvs/SetBool): a slow learner holds the bag back.
+
+    At a terminal: a line with the place in the bag; space pauses, arrows go 5 s back or on, s lets
+    one message through, + and - change the rate, q ends.
 
     Parameters: `bags.settings.PlayerSettings`; `rate` can be changed while playing.
 
@@ -105,6 +119,8 @@ class BagPlayerNode(NodeShell):
         self._answers = Answers(settings.answer_timeout)
         # image topics whose messages a driver answers -> where
         self._answered: dict[str, Subscription] = {}
+        # topics of recorded Q-values that are compared with new ones in place of being played
+        self._compared: dict[str, Comparison] = {}
         self._outputs: dict[str, Publisher] = {}
         self._unconfirmed: Counter[str] = Counter()
         self._create_publishers(self._chosen_topics())
@@ -115,6 +131,9 @@ class BagPlayerNode(NodeShell):
         self._playback = Playback(
             self._publish, rate=self._rate(), paused=settings.start_paused,
             publish_clock=self._publish_clock, clock_rate=settings.clock_rate)
+        self._start = self._reader.start_time + round(settings.start_offset * 1e9)
+        self._stop = (self._start + round(settings.duration * 1e9) if settings.duration > 0
+                      else None)
         self._error: BaseException | None = None
         self._done = threading.Event()
         self._closed = False
@@ -124,8 +143,10 @@ class BagPlayerNode(NodeShell):
         self.create_service(Trigger, '~/step', self._on_step)
         self.create_timer(LOOK_SECONDS, self._look)
         self.create_timer(LISTENERS_SECONDS, self._listeners.look)
-        names = ', '.join(sorted(self._outputs)) or 'no topics'
-        self.get_logger().info(f'playing {settings.bag}: {plain(names, 1000)}')
+        self.get_logger().info(f'playing {len(self._outputs)} topics of {settings.bag}')
+        self._terminal = PlayerTerminal(
+            self._playback, self._start, self._stop or self._reader.end_time,
+            set_rate=self._set_rate, quit_=self._quit)
         self._began = time.monotonic()
         self._thread = threading.Thread(target=self._play, name='bag_player', daemon=True)
         self._thread.start()
@@ -142,6 +163,7 @@ class BagPlayerNode(NodeShell):
         else:
             summary = 'playing'
         return level, plain(summary, 300), {
+            'position_seconds': max(self._playback.now - self._start, 0) / 1e9,
             'played': self._playback.played, 'unanswered': self._answers.missing,
             'timing_error_p50_ms': 1e3 * middle, 'timing_error_p99_ms': 1e3 * worst}
 
@@ -158,18 +180,29 @@ class BagPlayerNode(NodeShell):
         self._answers.stop()
         self._done.set()
         self._thread.join()
+        self._terminal.close()
         seconds = time.monotonic() - self._began
         middle, worst, most = (1e3 * value for value in self._playback.timing_error())
         unanswered = (f'; {self._answers.missing} images were not answered'
                       if self.settings.answer_timeout else '')
         unheard = self._listeners.never_heard
+        compared = ''.join(f'; {one.text()}' for one in self._compared.values() if one.text())
         nobody = f'; nobody listened to {plain(", ".join(unheard), 300)}' if unheard else ''
         say(f'{self._playback.played} messages played in {seconds:.2f} s; timing error p50 '
-            f'{middle:.3f} ms, p99 {worst:.3f} ms, max {most:.3f} ms{unanswered}{nobody}')
+            f'{middle:.3f} ms, p99 {worst:.3f} ms, max {most:.3f} ms'
+            f'{unanswered}{compared}{nobody}')
         self._reader.close()
 
     def _rate(self) -> float:
         return 0.0 if self.settings.answer_timeout else self.settings.rate
+
+    def _set_rate(self, rate: float) -> None:
+        # as anybody else would, so that the parameter says what is played
+        self.set_parameters([Parameter('rate', value=rate)])
+
+    def _quit(self) -> None:
+        self._done.set()
+        self._playback.stop()
 
     def _must_have(self, name: str) -> None:
         if name not in self._reader.topics:
@@ -191,8 +224,11 @@ class BagPlayerNode(NodeShell):
             chosen.remove(CLOCK.name)
         if settings.answer_timeout:
             # who drives answers, and not the recorded drive
-            chosen = [name for name in chosen
-                      if self._target(name).rpartition('/')[2] != CMD_VEL.name]
+            of = {name: self._target(name).rpartition('/')[2] for name in chosen}
+            self._compared = {name: Comparison() for name in chosen
+                              if of[name] == Q_VALUES.name and self._reader.topics[
+                                  name].type_name == Q_VALUES.type_name}
+            chosen = [name for name in chosen if of[name] not in (CMD_VEL.name, Q_VALUES.name)]
         return chosen
 
     def _target(self, name: str) -> str:
@@ -237,24 +273,33 @@ class BagPlayerNode(NodeShell):
             self._answered[name] = self.create_subscription(
                 TwistStamped, f'{space}/{CMD_VEL.name}', self._answers.take,
                 qos_profile_sensor_data, raw=True)
+            for own, comparison in self._compared.items():
+                if self._target(own) == f'{space}/{Q_VALUES.name}':
+                    self.create_subscription(
+                        JointState, self._target(own),
+                        functools.partial(_hand_over, comparison.answered), COMPARED_DEPTH,
+                        raw=True)
         return publisher
 
     def _play(self) -> None:
         try:
             self._wait_for_subscribers()
-            settings = self.settings
-            start = self._reader.start_time + round(settings.start_offset * 1e9)
-            stop = start + round(settings.duration * 1e9) if settings.duration > 0 else None
+            self._terminal.waiting = ''
+            place = self._start
             while not self._done.is_set():
                 self._ahead = ReadAhead(
-                    self._reader.messages(list(self._outputs), start, stop))
+                    self._reader.messages(
+                        [*self._outputs, *self._compared], place, self._stop))
                 try:
-                    self._playback.now = start
+                    self._playback.now = place
                     self._playback.play(self._ahead)
                 finally:
                     self._ahead.close()
-                if not settings.loop or not self._outputs:
-                    break
+                place = self._playback.wound()
+                if place is None:
+                    place = self._start
+                    if not self.settings.loop or not self._outputs:
+                        break
             deadline = time.monotonic() + LAST_WORDS
             for publisher in self._outputs.values():
                 left = deadline - time.monotonic()
@@ -267,7 +312,9 @@ class BagPlayerNode(NodeShell):
             self._done.set()
 
     def _wait_for_subscribers(self) -> None:
-        deadline = time.monotonic() + self.settings.wait_for_subscribers
+        seconds = self.settings.wait_for_subscribers
+        self._terminal.waiting = f'waiting for subscribers, {seconds:g} s at most'
+        deadline = time.monotonic() + seconds
         while time.monotonic() < deadline and not self._done.is_set():
             if self._listeners.complete() and all(
                     one.get_publisher_count() for one in self._answered.values()):
@@ -277,7 +324,8 @@ class BagPlayerNode(NodeShell):
             time.sleep(0.01)
 
     def _look(self) -> None:
-        """End the node when everything has been played."""
+        """Show where it is, and end the node when everything has been played."""
+        self._terminal.beat()
         if self._done.is_set():
             if self._error is not None:
                 raise self._error
@@ -286,6 +334,9 @@ class BagPlayerNode(NodeShell):
 
     def _publish(self, message: BagMessage) -> None:
         data = bytes(message.data)
+        if message.topic in self._compared:
+            _hand_over(self._compared[message.topic].recorded, data)
+            return
         answered = message.topic in self._answered
         if answered:
             self._answers.expect(data)
@@ -318,6 +369,13 @@ class BagPlayerNode(NodeShell):
         response.success = self._playback.step()
         response.message = 'one message' if response.success else 'not paused'
         return response
+
+
+def _hand_over(take: Callable[[int, dict[str, float]], None], data: bytes) -> None:
+    """Let Q-values be compared; what is none is passed over."""
+    with contextlib.suppress(BridgeError):
+        bundle = decode_bundle(data, Q_VALUES.name)
+        take(bundle.stamp, bundle.values_with())
 
 
 def parse_remaps(text: str) -> dict[str, str]:

@@ -20,17 +20,19 @@ from bags.errors import BagError
 from bags.graph_names import NamesHidden, topic_names
 from bags.intake import Intake
 from bags.last_line import say
+from bags.live_line import LiveLine
 from bags.live_qos import join_profiles, Kind, kinds_of, recorded_qos, request_for
 from bags.own_memory import let_go_of_freed_memory, resident_bytes
 from bags.provenance import parse_provenance
 from bags.recorded_topic import RecordedTopic
+from bags.recorder_terminal import recorded_text, waits_for
 from bags.recording import Recording
 from bags.settings import ALL, RecorderSettings, resolved_names
 from bags.writer import BagWriter
 from msgs_bridge.message_types import message_class
 from msgs_bridge.node_shell import NodeShell, PolledGroup, run_node
 from msgs_bridge.plain_text import plain
-from msgs_bridge.topics import CLOCK, TOPICS
+from msgs_bridge.topics import CLOCK, CMD_VEL, IMAGE, TOPICS
 
 DISCOVERY_SECONDS = 0.2
 # On a busy machine the car and the learner come first: a lockstep run on two cores made a tenth
@@ -50,6 +52,8 @@ MOST_REASONS = 20
 # after so many seconds without progress the disk is said to be stuck
 STALLED_SECONDS = 2.0
 LOSS_LOG_SECONDS = 5.0
+# how often a terminal is told how large the bag is
+SIZE_SECONDS = 1.0
 # What DDS keeps is bounded in messages, not in bytes: `depth` images of 50 MB are 100 GB. Above
 # so many bytes besides those of the cache, what waits there is dropped.
 MOST_WAITING_BYTES = 256 << 20
@@ -103,6 +107,7 @@ class BagRecorderNode(NodeShell):
         self._recording = Recording(self._writer, settings.cache_bytes)
         self._group = PolledGroup()
         self._refused: set[tuple[str, str]] = set()
+        self._said_waiting = ''
         self._discoveries = 0
         self._began = time.monotonic()
         self._losses_said = (0, 0.0)
@@ -115,7 +120,10 @@ class BagRecorderNode(NodeShell):
         self._subscribe_to_contract()
         self._intake.start()
         self.create_timer(DISCOVERY_SECONDS, self._discover)
-        names = ', '.join(sorted(self._intake.topics)) or 'nothing yet'
+        self._line = LiveLine()
+        self._size = (0.0, 0)
+        names = ('every topic as it appears' if self._wanted is None
+                 else plain(', '.join(sorted(self._wanted)), 1000))
         self.get_logger().info(f'recording {names} to {self._writer.folder}')
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
@@ -133,6 +141,8 @@ class BagRecorderNode(NodeShell):
                 DiagnosticStatus.WARN, f'messages wait until somebody publishes {CLOCK.name}')
         elif lost:
             level, summary = DiagnosticStatus.WARN, 'recording, but messages were lost'
+        elif waiting := self._waiting():
+            level, summary = DiagnosticStatus.OK, waiting
         else:
             level, summary = DiagnosticStatus.OK, 'recording'
         topics = self._intake.topics.values()
@@ -158,6 +168,7 @@ class BagRecorderNode(NodeShell):
             # a second Ctrl-C must not leave a bag without its end
             with contextlib.suppress(ValueError):
                 signal.signal(number, signal.SIG_IGN)
+        self._line.close()
         settled = self._intake.finish()
         lost = self._lost()
         self._recording.close(lost)
@@ -170,6 +181,34 @@ class BagRecorderNode(NodeShell):
         if not settled:
             loss += ' known, but messages were still arriving late'
         say(f'{self._writer.message_count} messages in {self._writer.folder}; lost: {loss}')
+
+    def _waiting(self) -> str:
+        """Return what nothing has come of, '' before discovery has had its time."""
+        if time.monotonic() - self._began < FOUND_SECONDS:
+            return ''
+        topics = list(self._intake.topics.values())
+        return waits_for(
+            self._wanted, [topic.name for topic in topics if topic.number is not None],
+            [topic.name for topic in topics if topic.publishers],
+            os.environ.get('ROS_DOMAIN_ID') or '0')
+
+    def _tell(self) -> None:
+        """Show on a terminal what was recorded so far; log what is waited for, each once."""
+        now = time.monotonic()
+        waiting = self._waiting()
+        if waiting and waiting != self._said_waiting:
+            self._said_waiting = waiting
+            self.get_logger().info(waiting, throttle_duration_sec=LOSS_LOG_SECONDS)
+        if self._line.there:
+            if now - self._size[0] > SIZE_SECONDS:
+                # a bag that was removed is told of elsewhere
+                with contextlib.suppress(OSError):
+                    self._size = (now, sum(
+                        path.stat().st_size for path in self._writer.folder.glob('*.mcap')))
+            topics = sum(topic.number is not None for topic in list(self._intake.topics.values()))
+            self._line.show(waiting or recorded_text(
+                now - self._began, self._writer.message_count, topics, self._size[1],
+                sum(self._lost().values())) + ' | Ctrl-C ends')
 
     def _wants(self, name: str) -> bool:
         if name in self._excluded:
@@ -184,7 +223,10 @@ class BagRecorderNode(NodeShell):
                 if topic.lost}
 
     def _subscribe_to_contract(self) -> None:
-        for topic in TOPICS:
+        # Simulator and policy begin once they are heard on these. Subscriptions make themselves
+        # known in their order, so that by then the others are heard, too.
+        waited_for = (IMAGE, CMD_VEL)
+        for topic in sorted(TOPICS, key=waited_for.__contains__):
             name = self.resolve_topic_name(topic.name)
             if self._wants(name) or topic.name == self._clock_name:
                 kind = Kind(topic.reliable, topic.latched)
@@ -245,6 +287,7 @@ class BagRecorderNode(NodeShell):
         self._end_if_broken()
         self._say_losses()
         self._bound_memory()
+        self._tell()
         while self._intake.drained:
             self.destroy_subscription(self._intake.drained.popleft())
         self._discoveries += 1

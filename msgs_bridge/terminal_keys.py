@@ -3,6 +3,7 @@
 """Keys of the terminal as they are pressed, without waiting for Enter."""
 from __future__ import annotations
 
+from collections.abc import Mapping
 import contextlib
 import os
 import select
@@ -11,6 +12,25 @@ import termios
 import tty
 
 MOST_BYTES = 256
+LEFT, RIGHT, UP, DOWN = 'left', 'right', 'up', 'down'
+# what terminals send, in both of their modes
+ARROWS = {b'\x1b[A': UP, b'\x1b[B': DOWN, b'\x1b[C': RIGHT, b'\x1b[D': LEFT,
+          b'\x1bOA': UP, b'\x1bOB': DOWN, b'\x1bOC': RIGHT, b'\x1bOD': LEFT}
+
+
+def keys_in(data: bytes, meanings: Mapping[bytes, str]) -> list[str]:
+    """Return what the keys mean that a terminal sent; those without a meaning are passed over."""
+    longest = max(map(len, meanings))
+    found = []
+    while data:
+        for length in range(longest, 0, -1):
+            if data[:length] in meanings:
+                found.append(meanings[data[:length]])
+                break
+        else:
+            length = 1
+        data = data[length:]
+    return found
 
 
 class TerminalKeys:

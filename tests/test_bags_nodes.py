@@ -602,9 +602,10 @@ def test_a_bag_is_played_as_fast_as_a_driver_answers(graph, tmp_path):
     graph.spin(1.0)
     player = graph.node(
         *PLAYER, bag=str(bag), prefix=f'/{graph.namespace}', wait_for_subscribers=20.0,
-        topics='/image_raw,/cmd_vel', answer_timeout=10.0)
+        topics='/image_raw,/cmd_vel,/q_values', answer_timeout=10.0)
     graph.spin_until(lambda: player.process.poll() is not None, 40, 'the end')
     assert '0 images were not answered' in said(player)[-1]
+    assert re.search(r'; \d+ q_values compared: the same action in ', said(player)[-1])
     with BagReader(bag) as reader:
         images = reader.topics['/image_raw'].message_count
     # each image has its answer, and nobody played the recorded ones

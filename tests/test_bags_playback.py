@@ -5,7 +5,8 @@ import threading
 import time
 
 from bags.errors import BagError
-from bags.playback import LATE_KEPT, Playback
+from bags.lockstep import Comparison, MOST_WAITING
+from bags.playback import LATE_KEPT, next_rate, Playback, RATES
 from bags.read_ahead import BATCH_BYTES, ReadAhead, WAITING
 from bags.messages import BagMessage
 from bags.recording import Recording
@@ -92,6 +93,32 @@ def test_a_bag_that_is_held_back_stands_paused_or_not():
     playback.hold(False)
     thread.join(2)
     assert seen == messages(20)
+
+
+def test_a_wound_playback_says_where_to_go_on_paused_or_not():
+    seen = []
+    playback = Playback(seen.append, paused=True)
+    thread = in_thread(playback, messages(20))
+    playback.wind(7)
+    thread.join(2)
+    assert not thread.is_alive() and seen == []
+    # the place is shown at once, and what is wound between two calls is not lost
+    assert playback.now == 7 and playback.wound() == 7 and playback.wound() is None
+    playback.wind(9)
+    playback.play(messages(20))
+    assert seen == [] and playback.wound() == 9
+    playback.set_rate(0)
+    playback.pause(False)
+    playback.play(messages(20))
+    assert len(seen) == 20 and playback.wound() is None
+
+
+def test_the_next_rate_ends_at_the_last():
+    assert [next_rate(rate, 1) for rate in (0.1, 0.7, 1.0, 20.0, 50.0)] == [
+        0.25, 1.0, 2.0, 20.0, 50.0]
+    assert [next_rate(rate, -1) for rate in (50.0, 1.0, 0.1)] == [20.0, 0.5, 0.1]
+    # as fast as possible is above all of them
+    assert next_rate(0, 1) == 0 and next_rate(0, -1) == RATES[-1]
 
 
 def test_stop_ends_a_long_wait_at_once():
@@ -200,3 +227,19 @@ def test_large_messages_are_read_ahead_one_by_one():
     time.sleep(0.3)
     assert len(read) <= WAITING + 2, len(read)
     ahead.close()
+
+
+def test_q_values_are_compared_by_stamp_in_whatever_order_they_come():
+    comparison = Comparison()
+    assert comparison.text() == ''
+    comparison.recorded(1, {'a': 1.0, 'b': 2.0, 'chosen': 1, 'weights_version': 3})
+    comparison.answered(1, {'a': 1.5, 'b': 2.0, 'chosen': 1, 'weights_version': 9})
+    comparison.answered(2, {'a': 1.0, 'chosen': 0})
+    comparison.recorded(2, {'a': 1.0, 'c': 7.0, 'chosen': 1})
+    assert comparison.text() == (
+        '2 q_values compared: the same action in 50.0%, Q-values differ by up to 0.5')
+    # what one side lacks is not kept for ever
+    for stamp in range(10, 10 + 3 * MOST_WAITING):
+        comparison.recorded(stamp, {'a': 1.0})
+    comparison.answered(10, {'a': 1.0})
+    assert comparison.compared == 2

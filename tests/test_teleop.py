@@ -9,13 +9,12 @@ import termios
 import time
 
 from carracing_dqn.bringup.processes import node_command
-from carracing_dqn.teleop.hand import (
-    DOWN, joined, Joystick, Keyboard, keys_of, LEFT, LET_GO, RIGHT, UP,
-)
+from carracing_dqn.teleop.hand import joined, Joystick, Keyboard, KEYS, LET_GO
 from carracing_dqn.teleop.settings import TeleopSettings
 from msgs_bridge import topics
 from msgs_bridge.errors import MessageError
 from msgs_bridge.stamps import to_nanoseconds
+from msgs_bridge.terminal_keys import DOWN, keys_in, LEFT, RIGHT, UP
 from msgs_bridge.twists import Command, STOP
 import pytest
 from sensor_msgs.msg import Joy
@@ -23,9 +22,9 @@ from sensor_msgs.msg import Joy
 SETTINGS = TeleopSettings()
 
 
-def test_keys_of_what_terminals_send():
-    assert keys_of(b'\x1b[A\x1bOBxa\x1b[Dd \x1b') == [UP, DOWN, LEFT, LEFT, RIGHT, LET_GO]
-    assert keys_of(bytes(range(256)))
+def test_keys_in_what_terminals_send():
+    assert keys_in(b'\x1b[A\x1bOBxa\x1b[Dd \x1b', KEYS) == [UP, DOWN, LEFT, LEFT, RIGHT, LET_GO]
+    assert keys_in(bytes(range(256)), KEYS)
 
 
 def test_a_pedal_stays_and_steering_is_let_go():

@@ -8,30 +8,11 @@ import math
 
 from carracing_dqn.teleop.settings import HandSettings
 from msgs_bridge.errors import MessageError
+from msgs_bridge.terminal_keys import ARROWS, DOWN, LEFT, RIGHT, UP
 from msgs_bridge.twists import Command, STOP
 
-UP, DOWN, LEFT, RIGHT, LET_GO = 'up', 'down', 'left', 'right', 'let go'
-# what terminals send: arrows in both of their modes, and letters
-KEYS = {
-    b'\x1b[A': UP, b'\x1b[B': DOWN, b'\x1b[C': RIGHT, b'\x1b[D': LEFT,
-    b'\x1bOA': UP, b'\x1bOB': DOWN, b'\x1bOC': RIGHT, b'\x1bOD': LEFT,
-    b'w': UP, b's': DOWN, b'a': LEFT, b'd': RIGHT, b' ': LET_GO,
-}
-LONGEST = max(map(len, KEYS))
-
-
-def keys_of(data: bytes) -> list[str]:
-    """Return the keys in what a terminal sent; what is none of them is passed over."""
-    found = []
-    while data:
-        for length in range(LONGEST, 0, -1):
-            if data[:length] in KEYS:
-                found.append(KEYS[data[:length]])
-                break
-        else:
-            length = 1
-        data = data[length:]
-    return found
+LET_GO = 'let go'
+KEYS = {**ARROWS, b'w': UP, b's': DOWN, b'a': LEFT, b'd': RIGHT, b' ': LET_GO}
 
 
 class Keyboard:

@@ -21,15 +21,15 @@ import sys
 import time
 from typing import Any
 
-from carracing_dqn.teleop.hand import joined, Joystick, Keyboard, keys_of
+from carracing_dqn.teleop.hand import joined, Joystick, Keyboard, KEYS
 from carracing_dqn.teleop.settings import TeleopSettings
-from carracing_dqn.teleop.terminal_keys import TerminalKeys
 from diagnostic_msgs.msg import DiagnosticStatus
 from dqn_policy_node.command_stage import CommandStage
 from geometry_msgs.msg import Twist, TwistStamped
 from msgs_bridge import topics
 from msgs_bridge.node_shell import NodeShell, run_node
 from msgs_bridge.stamps import NANOSECONDS, set_stamp, to_nanoseconds
+from msgs_bridge.terminal_keys import keys_in, TerminalKeys
 from msgs_bridge.twists import Command, fill_twist
 from std_srvs.srv import SetBool
 
@@ -58,10 +58,10 @@ class TeleopNode(NodeShell):
         self._answered_at: float | None = None
         self._cmd_vel = self.publisher(
             topics.CMD_VEL,
-            type_name=None if settings.cmd_vel_stamped else 'geometry_msgs/msg/Twist')
+            type_name=None if settings.cmd_vel_stamped else topics.PLAIN_TWIST_TYPE)
         self._images = self.subscription(
             topics.IMAGE, self._on_image, newest=True,
-            type_name='sensor_msgs/msg/CompressedImage' if settings.image_compressed else None)
+            type_name=topics.COMPRESSED_TYPE if settings.image_compressed else None)
         self.subscription(topics.JOY, self._on_joy)
         self.create_service(SetBool, '~/enable', self._on_enable)
         self.create_timer(BEAT_SECONDS, self._beat)
@@ -89,7 +89,7 @@ class TeleopNode(NodeShell):
     def _beat(self) -> None:
         now = time.monotonic()
         if self._keys is not None:
-            for key in keys_of(self._keys.read()):
+            for key in keys_in(self._keys.read(), KEYS):
                 self._keyboard.press(key, now)
         self._answer(now)
 

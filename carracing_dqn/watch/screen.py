@@ -12,6 +12,7 @@ from textual.containers import Container, Horizontal, VerticalScroll
 from textual.events import Resize
 from textual.widgets import Footer, Input, Static
 
+from bags.playback import next_rate, SKIP_SECONDS
 from carracing_dqn.watch import painting
 from carracing_dqn.watch.commands import BAG_COMMANDS, COMMANDS
 from carracing_dqn.watch.source import Source
@@ -22,8 +23,7 @@ SHOW_SECONDS = 0.4
 WIDE, HIGH = 120, 38
 # lines of what is wrong on a small screen
 CAUSE_LINES = 3
-EPSILON_STEP, SKIP_SECONDS = 0.05, 5.0
-RATES = (0.1, 0.25, 0.5, 1.0, 2.0, 5.0, 20.0)
+EPSILON_STEP = 0.05
 PANES = ('drive', 'nodes', 'topics', 'plots')
 ALL_COMMANDS = {*COMMANDS, *BAG_COMMANDS}
 
@@ -164,9 +164,7 @@ class Screen(App[None]):
 
     def action_rate(self, sign: int) -> None:
         """Play a bag faster or slower."""
-        rate = self._shown['playing'].get('rate', 1.0)
-        nearest = min(range(len(RATES)), key=lambda one: abs(RATES[one] - rate))
-        self.action_send('rate', RATES[min(len(RATES) - 1, max(0, nearest + sign))])
+        self.action_send('rate', next_rate(self._shown['playing'].get('rate', 1.0), sign))
 
     def action_car(self) -> None:
         """Show the next car."""

@@ -1,0 +1,141 @@
+# Copyright 2026 The carracing_dqn authors
+# SPDX-License-Identifier: Apache-2.0
+"""Recorder and player at a real terminal: what they show, keys, and the terminal given back."""
+import contextlib
+import fcntl
+import os
+import pty
+import re
+import signal
+import struct
+import subprocess
+import sys
+import termios
+import time
+
+from bag_cases import record_drive
+from bags.live_line import clock_text
+from bags.recorder_terminal import recorded_text, waits_for
+from carracing_dqn.bringup.processes import node_command
+from graph_probe import wait_for
+import pytest
+
+WIDTH = 80
+
+
+def test_times_and_sizes_are_short():
+    assert [clock_text(seconds) for seconds in (-1, 0.04, 59.96, 61.25, 3599.96, 7325.5)] == [
+        '0:00.0', '0:00.0', '1:00.0', '1:01.2', '1:00:00.0', '2:02:05.5']
+    assert recorded_text(61, 1200, 7, 2_500_000, 0) == (
+        '1:01.0, 1200 messages of 7 topics, 2.5 MB, none lost')
+
+
+@pytest.mark.parametrize(('wanted', 'came', 'published', 'told'), [
+    (None, ['/rosout'], ['/rosout', '/diagnostics'], 'nobody publishes anything on domain 7'),
+    (None, ['/rosout'], ['/rosout', '/image_raw'], 'the first message of /image_raw'),
+    (None, ['/rosout', '/odom'], ['/rosout'], ''),
+    ({'/a', '/b'}, ['/a'], ['/a'], 'waits for /b: nobody publishes that on domain 7'),
+    ({'/a', '/b'}, ['/a'], ['/a', '/b'], 'waits for the first message of /b'),
+    ({'/a'}, ['/a'], [], ''),
+    ({f'/{number}' for number in range(9)}, [], [], '/4 and 4 more: nobody'),
+])
+def test_a_recorder_says_what_it_waits_for(wanted, came, published, told):
+    text = waits_for(wanted, came, published, '7')
+    assert told in text and (told or not text)
+
+
+class Terminal:
+    """A process at a terminal of 80x24 of its own, and what it has shown there."""
+
+    def __init__(self, command):
+        self.ours, self._theirs = pty.openpty()
+        fcntl.ioctl(self._theirs, termios.TIOCSWINSZ, struct.pack('HHHH', 24, WIDTH, 0, 0))
+        self.before = termios.tcgetattr(self._theirs)
+        self.process = subprocess.Popen(
+            command, stdin=self._theirs, stdout=self._theirs, stderr=self._theirs,
+            start_new_session=True, env={**os.environ, 'PYTHONUTF8': '1'},
+            preexec_fn=lambda: fcntl.ioctl(self._theirs, termios.TIOCSCTTY, 0))
+        os.set_blocking(self.ours, False)
+        self.shown = ''
+
+    def shows(self, pattern):
+        """Return whether a line has shown what matches since the last time it was asked."""
+        with contextlib.suppress(BlockingIOError):
+            self.shown += os.read(self.ours, 65536).decode('utf-8', 'replace')
+        found = list(re.finditer(pattern, self.shown))
+        if found:
+            self.shown = self.shown[found[-1].end():]
+        return found[-1] if found else None
+
+    def until(self, pattern, seconds=30):
+        found = []
+        wait_for(lambda: found.append(self.shows(pattern)) or found[-1], seconds, pattern)
+        return found[-1]
+
+    def type(self, keys):
+        os.write(self.ours, keys)
+
+    @property
+    def given_back(self):
+        return termios.tcgetattr(self._theirs)[3] == self.before[3]
+
+    def close(self):
+        self.process.kill()
+        self.process.wait()
+        os.close(self.ours)
+        os.close(self._theirs)
+
+
+@pytest.fixture
+def terminal(request):
+    made = []
+
+    def start(command):
+        made.append(Terminal(command))
+        return made[-1]
+
+    yield start
+    for one in made:
+        one.close()
+
+
+def test_a_bag_is_paused_wound_and_stepped_by_keys(terminal, tmp_path):
+    bag = record_drive(tmp_path / 'bag', episodes=1, decisions=1000)
+    player = terminal([
+        sys.executable, '-m', 'carracing_dqn.bringup', 'bag', 'play', str(bag), '--prefix',
+        '/keys', '--wait-for-subscribers', '0.5'])
+    lines = r'(\d+:\d\d\.\d) of \d+:\d\d\.\d, '
+    player.until(lines + '1x')
+    player.type(b'--')
+    player.until(lines + r'0\.25x')
+    player.type(b' ')
+    place = player.until(lines + r'paused \| space pause').group(1)
+    time.sleep(0.5)
+    assert player.until(lines + 'paused').group(1) == place
+    player.type(b'\x1b[D')
+    assert player.until(lines + 'paused').group(1) == '0:00.0'
+    player.type(b'ss ' + 6 * b'\x1b[C')
+    # beyond the end it ends
+    assert player.process.wait(20) == 0
+    assert player.until(r'(\d+) messages played')
+    assert player.given_back
+
+
+def test_a_player_that_is_quit_gives_the_terminal_back(terminal, tmp_path):
+    bag = record_drive(tmp_path / 'bag', episodes=1, decisions=1000)
+    player = terminal(node_command(
+        'bags.player_node', {'bag': str(bag), 'prefix': '/quit', 'rate': 0.1}, 'quit'))
+    player.until('waiting for subscribers')
+    assert not player.given_back
+    player.type(b'q')
+    assert player.process.wait(10) == 0 and player.given_back
+
+
+def test_what_a_recorder_has_stands_in_one_line(terminal, tmp_path):
+    recorder = terminal(node_command(
+        'bags.recorder_node', {'folder': str(tmp_path / 'bag'), 'topics': 'none_there'}, 'line'))
+    line = recorder.until(r'waits for /line/none_there: nobody publishes that[^\r]*\x1b\[K')
+    assert len(line.group()) < WIDTH
+    recorder.process.send_signal(signal.SIGINT)
+    assert recorder.process.wait(10) == 0
+    assert recorder.until('0 messages in ')
