@@ -3,6 +3,7 @@
 """One trainer and several cars that come, go, die and stand: nothing is mixed up or lost."""
 from collections import Counter
 import signal
+import sys
 
 from bags.transitions import bag_transitions
 from carracing_dqn.bringup.graph import (
@@ -211,3 +212,20 @@ def test_what_cannot_be_a_source_is_one_line_and_leaves_nothing(cars):
     child = cars.children['trainer']
     wait_for(lambda: child.code is not None, 30, 'the end')
     assert child.code == 2 and 'sources has ' in child.obituary() and not cars.run.exists()
+
+
+def test_a_car_that_joined_says_that_its_trainer_has_gone_and_ends(cars):
+    graph = cars
+    trainer, _ = learner_graph(graph.settings, cars=1, trainer={
+        'run': str(graph.run), 'preset': str(graph.preset), 'last_validation_seconds': 0.0})
+    graph.start_graph((trainer,), graph.namespace, '.')
+    wait_for(lambda: graph.children['trainer'].said('learning into'), 60, 'the trainer')
+    car = graph.start('joined', [
+        sys.executable, '-m', 'carracing_dqn.bringup', 'drive', '--join', '--wait', '12',
+        '--namespace', graph.namespace, '--output', str(graph.log_folder / 'car')])
+    graph.spin_until(lambda: learned(graph, 0) > 20, 60, 'a car that joined')
+    graph.children['trainer'].asked = True
+    graph.children['trainer'].signal(signal.SIGTERM)
+    wait_for(lambda: car.code is not None, 90, 'the end of the car')
+    assert car.code == 0, car.words
+    assert car.said('NO TRAINER for') and car.said('has been gone for 12 s: this car ends')

@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from pathlib import Path
+import time
 
 from carracing_dqn.bringup.display import Display
 from carracing_dqn.bringup.graph import car_graph, car_space, driver_seed, POLICY, SIMULATOR
@@ -16,11 +18,14 @@ from carracing_dqn.simulation import find_simulator
 from carracing_dqn.simulation.profiles import profile_of, seen_from
 from msgs_bridge.errors import BridgeError
 from msgs_bridge.seeds import epsilon_exponent, MAX_CARS, training_seed
+from msgs_bridge.topics import WEIGHTS
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 WAIT_SECONDS = 60.0
+# discovery may take so long
+GONE_SECONDS = 6.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -34,14 +39,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--compressed', action='store_true',
                         help='send images as png: a ninth of the bytes, half a millisecond more')
     parser.add_argument('--wait', type=float, default=WAIT_SECONDS, metavar='SECONDS',
-                        help='how long to look for the trainer (default: %(default)s)')
+                        help='how long to look for the trainer, and to drive on without one that '
+                        'has gone (default: %(default)s)')
     parser.add_argument('--output', type=Path, default=None,
                         help='folder for the logs (default: runs/car-<time>)')
     parser.add_argument('--namespace', default='', help='ROS namespace of the trainer')
 
 
 def main(arguments: argparse.Namespace) -> int:
-    """Drive until the user stops it; return the exit code."""
+    """Drive until the user stops it or the trainer is gone for long; return the exit code."""
     if not arguments.join:
         raise BridgeError('carracing drive needs --join; carracing run drives without a trainer')
     if arguments.car is not None and not 0 <= arguments.car < MAX_CARS:
@@ -70,30 +76,63 @@ def main(arguments: argparse.Namespace) -> int:
                        'simulator': seen_from(arguments.simulator, folder)},
             seed=driver_seed(trainer.seed, done, car),
             exponent=epsilon_exponent(car, trainer.cars, trainer.spread))
-        display = Display(monitor.state, car_table, car_line, Console())
+        weights = f'{namespace}/{WEIGHTS.name}'
+        without = Absence(lambda: monitor.publishers(weights) > 0)
+        display = Display(
+            monitor.state, lambda state, rows: car_table(state, rows, without.seconds),
+            lambda state: car_line(state, without.seconds), Console())
         display.say(f'{namespace}/{car_space(car)}; logs in {folder}')
-        run_to_the_end(graph, namespace=arguments.namespace, folder=folder, monitor=monitor,
-                       display=display)
+        interrupted = run_to_the_end(
+            graph, namespace=arguments.namespace, folder=folder, monitor=monitor,
+            display=display, over=lambda: without.look() > arguments.wait)
     finally:
         monitor.close()
-    return 130
+    if interrupted:
+        return 130
+    display.say(f'the trainer has been gone for {arguments.wait:g} s: this car ends')
+    return 0
 
 
-def car_line(state: GraphState) -> str:
-    """Return what one car does as one plain line."""
+class Absence:
+    """
+    How long something has not been there.
+
+    Attributes:
+        seconds: at the last look.
+    """
+
+    def __init__(self, there: Callable[[], bool]) -> None:
+        """Begin with something that is there."""
+        self._there = there
+        self._seen_at = time.monotonic()
+        self.seconds = 0.0
+
+    def look(self) -> float:
+        """Look for it, and return the seconds without it."""
+        now = time.monotonic()
+        if self._there():
+            self._seen_at = now
+        self.seconds = now - self._seen_at
+        return self.seconds
+
+
+def car_line(state: GraphState, without: float = 0.0) -> str:
+    """Return what one car does as one plain line; `without`: seconds without a trainer."""
     rate = state.value(SIMULATOR.name, 'decisions_per_second', 0.0)
     version = state.value(POLICY.name, 'weights_version', 0.0)
     line = (f'{state.summary(SIMULATOR.name)}, {rate:.0f} decisions/s, epsilon '
             f'{state.value(POLICY.name, "epsilon", 1.0):.3f}, weights version {version:.0f}')
+    if without > GONE_SECONDS:
+        line = f'NO TRAINER for {without:.0f} s, {line}'
     if state.episodes:
         line += f', {state.ended} episodes, return {state.episodes[-1]["episode_return"]:.1f}'
     return line
 
 
-def car_table(state: GraphState, rows: int) -> Table:
+def car_table(state: GraphState, rows: int, without: float = 0.0) -> Table:
     """Return the same for a terminal, in fewer than `rows` lines."""
     table = Table(title=Text(state.namespace), show_header=False)
     table.add_column()
-    for part in car_line(state).split(', ')[:rows - 4]:
+    for part in car_line(state, without).split(', ')[:rows - 4]:
         table.add_row(Text(part))
     return table

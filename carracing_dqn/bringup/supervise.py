@@ -83,7 +83,7 @@ def look(group: ProcessGroup, monitor: Monitor) -> str | None:
 
 def run_to_the_end(
     graph: Graph, *, namespace: str, folder: Path, monitor: Monitor, display: Display,
-    settled: Callable[[], bool] = lambda: True,
+    settled: Callable[[], bool] = lambda: True, over: Callable[[], bool] = lambda: False,
 ) -> bool:
     """
     Run a graph until a node of it has finished its work; return whether the user stopped it.
@@ -94,6 +94,7 @@ def run_to_the_end(
         folder: run folder with `log` in it.
         monitor: hears the nodes.
         display: shows how far they are.
+        over: asked all the time whether to end though no node has finished.
         settled: asked after the end, for at most a second, whether all results have come.
 
     Raises:
@@ -104,7 +105,7 @@ def run_to_the_end(
         try:
             group.start_graph(graph, namespace, folder)
             with display:
-                while look(group, monitor) is None:
+                while look(group, monitor) is None and not over():
                     for line in group.losses():
                         display.say(line)
                     display.update()
