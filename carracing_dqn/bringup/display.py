@@ -57,6 +57,11 @@ class Display:
         if self._live is None:
             self._say_state()
 
+    @property
+    def on_terminal(self) -> bool:
+        """Return whether a person looks."""
+        return self._console.is_terminal
+
     def say(self, text: str) -> None:
         """Print a line."""
         say(self._console, text)

@@ -67,15 +67,24 @@ def main(arguments: argparse.Namespace) -> int:
     bag = folder / 'bag'
     if bag.is_dir():
         display.say(f'bag: {bag}  (look: carracing bag info {bag})')
-        if not interrupted and arguments.simulator in CARRACING:
-            from carracing_dqn.bringup.run_pictures import draw_recorded_laps
-            try:
-                for picture in draw_recorded_laps(bag, folder / 'pictures'):
-                    display.say(f'picture: {picture}')
-            except BridgeError as error:
-                # the drive was good, and the bag is there
-                display.say(f'no pictures: {error}')
+        # who stops it from elsewhere wants its end at once
+        wanted = not interrupted or display.on_terminal
+        if wanted and monitor.state.ended and arguments.simulator in CARRACING:
+            _draw(bag, folder / 'pictures', display, hint=interrupted)
     return 130 if interrupted else 0
+
+
+def _draw(bag: Path, folder: Path, display: Display, *, hint: bool) -> None:
+    """Draw the laps of a bag until all are drawn or Ctrl-C ends it."""
+    from carracing_dqn.bringup.run_pictures import draw_recorded_laps
+    if hint:
+        display.say('drawing the laps; Ctrl-C ends that, too')
+    try:
+        for picture in draw_recorded_laps(bag, folder):
+            display.say(f'picture: {picture}')
+    except BridgeError as error:
+        # the drive was good, and the bag is there
+        display.say(f'no pictures: {error}')
 
 
 def _graph(arguments: argparse.Namespace, model: str, repeat: int, folder: Path) -> Graph:

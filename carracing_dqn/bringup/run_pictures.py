@@ -3,6 +3,7 @@
 """A picture of every recorded lap, driven again in this process from its bag."""
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 from bags.transitions import bag_transitions
@@ -11,9 +12,9 @@ from carracing_dqn.evaluation.trajectory import RecordedActions
 from msgs_bridge.twists import Command
 
 
-def draw_recorded_laps(bag: Path, folder: Path) -> list[Path]:
+def draw_recorded_laps(bag: Path, folder: Path) -> Iterator[Path]:
     """
-    Draw the whole laps in a bag of CarRacing; return the pictures.
+    Draw the whole laps in a bag of CarRacing one by one; yield each picture.
 
     Args:
         bag: bag whose tracks have a seed each; others are passed over.
@@ -23,7 +24,6 @@ def draw_recorded_laps(bag: Path, folder: Path) -> list[Path]:
         BagError: the bag cannot be read.
     """
     folder.mkdir(exist_ok=True)
-    pictures: list[Path] = []
     commands: list[Command] = []
     for transition in bag_transitions([bag]):
         step = transition.step
@@ -36,5 +36,4 @@ def draw_recorded_laps(bag: Path, folder: Path) -> list[Path]:
         if whole and step.seed >= 0:
             path = folder / f'lap-{step.seed}.png'
             draw_lap(RecordedActions(commands), step.seed, path)
-            pictures.append(path)
-    return pictures
+            yield path
