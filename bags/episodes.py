@@ -10,7 +10,7 @@ from bags.reader import BagReader
 from bags.steps import decode_step
 from bags.topic_lookup import find_topic
 from carracing_dqn.simulation.checks import LONGEST_FRAME, SHORTEST_FRAME
-from carracing_sim_node.controls import FRAME_SECONDS
+from msgs_bridge.simulator import FRAME_SECONDS
 from msgs_bridge.topics import EPISODE, STEP
 
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 
 from bags.errors import BagError
 from bags.reader import BagReader
-from msgs_bridge.topics import CMD_VEL, COMPRESSED_TYPE, IMAGE, Topic
+from msgs_bridge.topics import CMD_VEL, COMPRESSED_TYPE, IMAGE, PLAIN_TWIST_TYPE, Topic
 
 # cmd_vel may be published without a stamp
-TWIST = 'geometry_msgs/msg/Twist'
 
 
 # what may stand in place of the contract's types
-OTHER_TYPES = {CMD_VEL: (TWIST,), IMAGE: (COMPRESSED_TYPE,)}
+OTHER_TYPES = {CMD_VEL: (PLAIN_TWIST_TYPE,), IMAGE: (COMPRESSED_TYPE,)}
 
 
 def find_topic(reader: BagReader, topic: Topic, *, namespace: str = '') -> str | None:

@@ -7,14 +7,14 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from bags.topic_lookup import find_topic, need_topic, TWIST
+from bags.topic_lookup import find_topic, need_topic
 from bags.decode import decode, decode_image
 from bags.reader import BagReader
 from bags.steps import decode_step
 from msgs_bridge.errors import MessageError
 from msgs_bridge.stamps import to_nanoseconds
 from msgs_bridge.step import Step
-from msgs_bridge.topics import CMD_VEL, IMAGE, STEP
+from msgs_bridge.topics import CMD_VEL, IMAGE, PLAIN_TWIST_TYPE, STEP
 from msgs_bridge.transitions import Transition, TransitionJoiner
 from msgs_bridge.twists import Command, read_command
 
@@ -54,7 +54,7 @@ def _transitions(
     images = need_topic(reader, IMAGE, namespace=namespace)
     steps = need_topic(reader, STEP, namespace=namespace)
     twists = find_topic(reader, CMD_VEL, namespace=namespace)
-    if twists is not None and (reader.topics[twists].type_name == TWIST
+    if twists is not None and (reader.topics[twists].type_name == PLAIN_TWIST_TYPE
                                or reader.topics[twists].message_count == 0):
         # without stamps nothing says which frame a twist answered
         twists = None

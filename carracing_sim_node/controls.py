@@ -12,10 +12,6 @@ from typing import NamedTuple
 from msgs_bridge.twists import Command
 
 
-# seconds of one simulated frame
-FRAME_SECONDS = 0.02
-
-
 class Controls(NamedTuple):
     """One action of CarRacing: steer in [-1, 1] (right > 0), gas and brake in [0, 1]."""
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from carracing_sim_node.controls import Controls, controls, FRAME_SECONDS
+from carracing_sim_node.controls import Controls, controls
 from carracing_sim_node.environment import CarRacingEnvironment
 from carracing_sim_node.info_fields import CONSTANTS
 from carracing_sim_node.settings import CarRacingSettings
 from carracing_sim_node.simulation import Simulation
-from msgs_bridge.simulator import Outcome, Simulator
+from msgs_bridge.simulator import FRAME_SECONDS, Outcome, Simulator
 from msgs_bridge.twists import Command
 
 RELEASED = Controls(0.0, 0.0, 0.0)

@@ -7,11 +7,11 @@ from collections.abc import Mapping
 import math
 from typing import Any
 
-from carracing_sim_node.controls import controls, FRAME_SECONDS
+from carracing_sim_node.controls import controls
 from carracing_sim_node.settings import GymnasiumSettings
 from carracing_sim_node.simulation import STANDING_SPEED
 import gymnasium
-from msgs_bridge.simulator import Outcome, Simulator
+from msgs_bridge.simulator import FRAME_SECONDS, Outcome, Simulator
 from msgs_bridge.twists import Command
 import numpy as np
 

@@ -4,25 +4,14 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import NamedTuple
 
-from PIL import Image
 import numpy as np
 
-from msgs_bridge.errors import MessageError, SettingsError
-from msgs_bridge.images import compressed_to_array, ENCODINGS, image_to_array, MAX_SIDE
+from msgs_bridge.images import compressed_to_array, ENCODINGS, image_to_array
+from msgs_bridge.picture_parts import cropped, parse_crop, resized
 from msgs_bridge.settings import setting
 
 TURNS = ('0', '90', '180', '270')
-
-
-class Crop(NamedTuple):
-    """A part of an image in pixels: left column, top row, width, height."""
-
-    left: int
-    top: int
-    width: int
-    height: int
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,7 +42,7 @@ class Camera:
             SettingsError: a crop that is no part of an image.
         """
         self._settings = settings
-        self._crop = parse_crop(settings.camera_crop)
+        self._crop = parse_crop('camera_crop', settings.camera_crop)
         self._quarter_turns = -(int(settings.camera_turn) // 90)
         self._shape = (height, width, 3)
 
@@ -75,35 +64,12 @@ class Camera:
         else:
             pixels = image_to_array(message, settings.camera_encoding)
         if self._crop is not None:
-            pixels = _cropped(pixels, self._crop)
+            pixels = cropped('camera_crop', pixels, self._crop)
         if self._quarter_turns:
             pixels = np.rot90(pixels, self._quarter_turns)
         if settings.camera_mirror:
             pixels = pixels[:, ::-1]
         if pixels.shape != self._shape:
             height, width, _ = self._shape
-            picture = Image.fromarray(np.ascontiguousarray(pixels))
-            pixels = np.asarray(picture.resize((width, height), Image.Resampling.BOX))
+            pixels = resized(pixels, width, height)
         return pixels
-
-
-def parse_crop(text: str) -> Crop | None:
-    """Read LEFT,TOP,WIDTH,HEIGHT; None for an empty text; raises SettingsError."""
-    if not text.strip():
-        return None
-    try:
-        crop = Crop(*map(int, text.split(',')))
-    except (TypeError, ValueError):
-        raise SettingsError(
-            f'camera_crop is {text[:40]!r}; accepted: LEFT,TOP,WIDTH,HEIGHT in pixels') from None
-    if min(crop) < 0 or not (crop.width and crop.height) or max(crop) > MAX_SIDE:
-        raise SettingsError(f'camera_crop is {text[:40]!r}; accepted: sides of 1 to {MAX_SIDE}')
-    return crop
-
-
-def _cropped(pixels: np.ndarray, crop: Crop) -> np.ndarray:
-    height, width, _ = pixels.shape
-    if crop.left + crop.width > width or crop.top + crop.height > height:
-        raise MessageError(
-            f'camera_crop {",".join(map(str, crop))} does not fit on an image of {width}x{height}')
-    return pixels[crop.top:crop.top + crop.height, crop.left:crop.left + crop.width]

@@ -70,7 +70,7 @@ class DqnPolicyNode(NodeShell):
             self._take_policy(load_policy(settings.model, device=self._device))
         self._cmd_vel = self.publisher(
             topics.CMD_VEL,
-            type_name=None if settings.cmd_vel_stamped else 'geometry_msgs/msg/Twist')
+            type_name=None if settings.cmd_vel_stamped else topics.PLAIN_TWIST_TYPE)
         self._q_values = self.publisher(topics.Q_VALUES)
         # only the newest matters: an old image has no use any more, nor have old weights
         self._images = self.subscription(

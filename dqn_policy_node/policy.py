@@ -19,13 +19,12 @@ from dqn_policy_node.network import QNetwork
 from dqn_policy_node.preprocessing import Preprocessor
 from dqn_policy_node.shipped_models import find_model
 from dqn_policy_node.weights_message import WeightsUpdate
+from msgs_bridge.simulator import FRAME_SECONDS
 from msgs_bridge.stamps import NANOSECONDS
 from msgs_bridge.twists import Command
 
 # of the lengths of explorations: three of five last one decision, one of six four or more
 ZETA_EXPONENT = 2.0
-# of `act`, unless somebody says otherwise
-CARRACING_FRAME_SECONDS = 0.02
 
 
 class Answer(NamedTuple):
@@ -63,7 +62,7 @@ class _Acting:
 
     action_space: ActionSpace
     action_seconds: float
-    frame_seconds = CARRACING_FRAME_SECONDS
+    frame_seconds = FRAME_SECONDS
 
     def __init__(self) -> None:
         self._hold = ActionHold()
@@ -126,7 +125,7 @@ class Policy(_Acting):
 
     def __init__(
         self, description: ModelDescription, *, device: str = 'cpu', seed: int | None = None,
-        frame_seconds: float = CARRACING_FRAME_SECONDS,
+        frame_seconds: float = FRAME_SECONDS,
     ) -> None:
         """
         Make a policy with random weights.
@@ -261,7 +260,7 @@ class RandomPolicy(_Acting):
 
 def load_policy(
     folder: Path | str, device: str = 'cpu', *, seed: int | None = None,
-    frame_seconds: float = CARRACING_FRAME_SECONDS,
+    frame_seconds: float = FRAME_SECONDS,
 ) -> Policy:
     """
     Return the greedy policy of a model.

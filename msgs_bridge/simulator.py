@@ -12,6 +12,9 @@ import numpy as np
 
 from msgs_bridge.twists import Command
 
+# seconds of one frame of CarRacing, which is meant where nothing else is said
+FRAME_SECONDS = 0.02
+
 
 class Outcome(NamedTuple):
     """

@@ -70,6 +70,9 @@ DIAGNOSTICS = Topic('/diagnostics', 'diagnostic_msgs/msg/DiagnosticArray', 'ever
 COMPRESSED_TYPE = 'sensor_msgs/msg/CompressedImage'
 """The other type of `image_raw`, where camera and driver are set to it."""
 
+PLAIN_TWIST_TYPE = 'geometry_msgs/msg/Twist'
+"""The other type of `cmd_vel`, of robots that take no stamps."""
+
 TOPICS = (IMAGE, STEP, REWARD, EPISODE, CMD_VEL, Q_VALUES, WEIGHTS, VALIDATION, CLOCK, DIAGNOSTICS)
 
 IMAGE_ANNOTATED = Topic('image_annotated', 'sensor_msgs/msg/Image', 'image_annotator_node', 5,

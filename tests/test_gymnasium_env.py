@@ -139,9 +139,9 @@ def test_an_observation_can_be_the_picture():
     ({'picture': 'observation'}, 'its observation is no image'),
     ({'picture': 'observation.camera'}, "no 'camera' in the observation"),
     ({'picture': 'sky'}, 'accepted: rendered, observation'),
-    ({'picture_size': '96'}, '2 whole numbers'),
-    ({'picture_size': '0x9'}, 'at least 1x1'),
-    ({'picture_crop': '1,2,3'}, '4 whole numbers'),
+    ({'picture_size': '96'}, 'WIDTHxHEIGHT'),
+    ({'picture_size': '0x9'}, 'sides of 1 to'),
+    ({'picture_crop': '1,2,3'}, 'LEFT,TOP,WIDTH,HEIGHT'),
     ({'info': '[speed]'}, 'info must be a mapping'),
     ({'info': '{speed: 3}'}, 'accepted: info.PATH'),
 ])
@@ -161,7 +161,7 @@ def test_a_value_that_is_not_there_is_named_and_one_that_may_be_missing_is_zero(
 
 
 def test_a_crop_that_does_not_fit_is_told():
-    with pytest.raises(SimulatorError, match='does not fit on a picture of 500x500'):
+    with pytest.raises(SimulatorError, match='does not fit on an image of 500x500'):
         made(picture_crop='400,400,200,200').reset(1)
 
 

@@ -5,13 +5,14 @@ import contextlib
 import io
 import math
 
-from dqn_policy_node.camera import Camera, CameraSettings, parse_crop
+from dqn_policy_node.camera import Camera, CameraSettings
 from dqn_policy_node.command_stage import CommandSettings, CommandStage
 from hypothesis import given, settings, strategies
 from msgs_bridge.errors import MessageError, SettingsError
 from msgs_bridge.images import (
     compressed_to_array, ENCODINGS, fill_compressed_image, fill_image, image_to_array,
 )
+from msgs_bridge.picture_parts import parse_crop
 from msgs_bridge.twists import Command, STOP
 import numpy as np
 from PIL import Image as Picture
@@ -123,7 +124,7 @@ def test_crop_turn_and_mirror_come_in_this_order():
 @pytest.mark.parametrize('text', ['1', 'a,b,c,d', '1,2,3', '0,0,0,5', '-1,0,5,5', '0,0,9999,5'])
 def test_a_crop_that_is_none_is_refused(text):
     with pytest.raises(SettingsError, match='camera_crop'):
-        parse_crop(text)
+        parse_crop('camera_crop', text)
     with pytest.raises(MessageError, match='does not fit on an image of 64x48'):
         Camera(CameraSettings(camera_crop='60,0,10,10'), 8, 8).frame(message(RGB, 'rgb8'))
 

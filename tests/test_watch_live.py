@@ -44,7 +44,7 @@ def test_a_graph_that_drives_is_seen_whole_and_obeys(graph, source):
     # the one that was missing
     graph.listen(topics.STEP, topics.IMAGE)
     graph.spin_until(lambda: shown(source, graph)['picture']
-                     and shown(source, graph)['drive']['chosen'] is not None
+                     and shown(source, graph)['drive']['chosen']
                      and shown(source, graph)['switches'].get('enabled') is not None,
                      60, 'the drive')
     graph.spin(3.0)

@@ -99,7 +99,7 @@ def test_a_car_that_drives_well_is_shown_whole_and_nothing_is_wrong():
     json.dumps(shown, allow_nan=False)
     assert shown['causes'] == [] and shown['rejected'] == 0
     assert shown['drive']['actions'] == [['left', 1.5], ['gas', 2.5]]
-    assert shown['drive']['chosen'] == 1 and shown['drive']['speed'] == 30
+    assert shown['drive']['chosen'] == (1,) and shown['drive']['speed'] == 30
     assert (shown['drive']['linear'], shown['drive']['angular']) == (0.2, 0.3)
     assert shown['picture']['width'] == 96 and shown['switches']['enabled']
     assert (state.pixels()[70, 47] == (122, 55, 55)).all()

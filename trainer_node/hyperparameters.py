@@ -22,6 +22,7 @@ from msgs_bridge.regular_file import read_regular
 from msgs_bridge.seeds import is_validation, TRAINING, training_seed, VALIDATION
 from msgs_bridge.settings import from_mapping, setting
 from msgs_bridge.share import share_folders, share_path
+from msgs_bridge.simulator import FRAME_SECONDS
 from msgs_bridge.yaml_text import dump_yaml, load_yaml
 from trainer_node.learner import LEARNERS
 from trainer_node.losses import LOSSES
@@ -81,7 +82,7 @@ class Hyperparameters:
     tuner_least: float = setting(
         0.1, 'least share of either of the two, so that both are known', low=0.0, high=0.5)
     frame_seconds: float = setting(
-        0.02, 'simulated seconds of one frame of the simulator', low=1e-4, high=1.0)
+        FRAME_SECONDS, 'simulated seconds of one frame of the simulator', low=1e-4, high=1.0)
     action_repeat: int = setting(
         1, 'simulator frames an action is held while learning; the report names none',
         low=1, high=50)

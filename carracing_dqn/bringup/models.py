@@ -8,7 +8,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from carracing_sim_node.controls import FRAME_SECONDS
+from msgs_bridge.simulator import FRAME_SECONDS
 from dqn_policy_node.shipped_models import find_model, RANDOM
 from msgs_bridge.errors import BridgeError
 from msgs_bridge.share import share_path

@@ -13,7 +13,7 @@ import sys
 from typing import Any
 
 from carracing_dqn.evaluation.errors import PolicyError
-from carracing_sim_node.controls import FRAME_SECONDS
+from msgs_bridge.simulator import FRAME_SECONDS
 from dqn_policy_node.shipped_models import RANDOM
 
 MODEL = 'model'

@@ -17,7 +17,7 @@ from msgs_bridge.stamps import NANOSECONDS
 GOOD, UNSURE, BAD = 'fits', 'unsure', 'does not fit'
 
 IMAGE_TYPE, COMPRESSED_TYPE = topics.IMAGE.type_name, topics.COMPRESSED_TYPE
-STAMPED_TYPE, PLAIN_TYPE = 'geometry_msgs/msg/TwistStamped', 'geometry_msgs/msg/Twist'
+STAMPED_TYPE, PLAIN_TYPE = topics.CMD_VEL.type_name, topics.PLAIN_TWIST_TYPE
 # rates within this share of each other are one
 RATE_TOLERANCE = 0.15
 # of the gaps between images may be half as long again as the usual one

@@ -7,12 +7,14 @@ from collections.abc import Callable, Mapping
 import dataclasses
 import logging
 import math
+import re
 from typing import Any, NamedTuple
 
-from PIL import Image
 from carracing_dqn.simulators.space_mapping import action_encoder
 import gymnasium
 from msgs_bridge.errors import SimulatorError
+from msgs_bridge.images import MAX_SIDE
+from msgs_bridge.picture_parts import cropped, parse_crop, resized
 from msgs_bridge.plain_text import plain
 from msgs_bridge.settings import numbers, setting
 from msgs_bridge.simulator import Outcome, Simulator
@@ -23,7 +25,7 @@ import numpy as np
 OBSERVATION, RENDERED = 'observation', 'rendered'
 # of an environment that names none in metadata['render_fps']
 FRAMES_PER_SECOND = 30.0
-LARGEST_SIDE = 4096
+SIZE = re.compile(r'\d{1,4}x\d{1,4}')
 
 
 @dataclasses.dataclass(frozen=True)
@@ -78,7 +80,7 @@ class GymnasiumEnv(Simulator):
             self._encode = action_encoder(
                 self.env.action_space, load_yaml(settings.action, 'action', SimulatorError))
             self._picture = _picture_of(self.env, settings.picture)
-            self._crop = _crop_of(settings.picture_crop)
+            self._crop = parse_crop('picture_crop', settings.picture_crop, SimulatorError)
             self._size = _size_of(settings.picture_size)
             self._sources = _sources_of(settings.info)
         except SimulatorError:
@@ -139,15 +141,9 @@ class GymnasiumEnv(Simulator):
         if pixels.shape[2] == 1:
             pixels = pixels.repeat(3, axis=2)
         if self._crop is not None:
-            left, top, width, height = self._crop
-            if left + width > pixels.shape[1] or top + height > pixels.shape[0]:
-                raise SimulatorError(
-                    f'picture_crop {self._settings.picture_crop} does not fit on a picture of '
-                    f'{pixels.shape[1]}x{pixels.shape[0]}')
-            pixels = pixels[top:top + height, left:left + width]
+            pixels = cropped('picture_crop', pixels, self._crop, SimulatorError)
         if self._size is not None and self._size != (pixels.shape[1], pixels.shape[0]):
-            picture = Image.fromarray(np.ascontiguousarray(pixels))
-            return np.array(picture.resize(self._size, Image.Resampling.BOX))
+            pixels = resized(pixels, *self._size)
         return np.array(pixels)
 
     def _values(self, observation: Any, info: Mapping[str, Any]) -> dict[str, float | None]:
@@ -248,26 +244,14 @@ def _picture_of(env: gymnasium.Env, picture: str) -> Callable[[Any], Any]:
     return take
 
 
-def _numbers_of(text: str, separator: str, count: int, what: str) -> tuple[int, ...]:
-    try:
-        numbers = tuple(map(int, text.split(separator)))
-    except ValueError:
-        numbers = ()
-    if len(numbers) != count or not all(0 <= one <= LARGEST_SIDE for one in numbers):
-        raise SimulatorError(f'{what} is {plain(text)!r}; accepted: {count} whole numbers with '
-                             f'{separator!r} in between, up to {LARGEST_SIDE}')
-    return numbers
-
-
-def _crop_of(text: str) -> tuple[int, ...] | None:
-    return _numbers_of(text, ',', 4, 'picture_crop') if text else None
-
-
-def _size_of(text: str) -> tuple[int, ...] | None:
-    size = _numbers_of(text, 'x', 2, 'picture_size') if text else None
-    if size is not None and 0 in size:
-        raise SimulatorError(f'picture_size is {plain(text)!r}; accepted: at least 1x1')
-    return size
+def _size_of(text: str) -> tuple[int, int] | None:
+    if not text:
+        return None
+    sides = tuple(map(int, text.split('x'))) if SIZE.fullmatch(text) else ()
+    if not sides or not 1 <= min(sides) <= max(sides) <= MAX_SIDE:
+        raise SimulatorError(f'picture_size is {plain(text)!r}; accepted: WIDTHxHEIGHT in pixels, '
+                             f'sides of 1 to {MAX_SIDE}')
+    return sides
 
 
 class _Source(NamedTuple):

@@ -118,10 +118,7 @@ class ImageAnnotatorNode(NodeShell):
 
 
 def _q_values(drive: Drive) -> dict[str, float]:
-    values = dict(drive.actions)
-    if drive.chosen is not None:
-        values['chosen'] = drive.chosen
-    return values
+    return {**dict(drive.actions), **dict(zip(('chosen', 'chosen_second'), drive.chosen))}
 
 
 def main(args: list[str] | None = None) -> int:

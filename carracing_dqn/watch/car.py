@@ -11,7 +11,6 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from PIL import Image
 
 from bags.cdr_time import first_time
 from bags.decode import decode, decode_bundle
@@ -22,14 +21,16 @@ from carracing_dqn.watch.series import SeriesTable
 from msgs_bridge.errors import BridgeError
 from msgs_bridge.images import compressed_to_array, image_to_array, MAX_BYTES
 from msgs_bridge.named_values import read_named_values
+from msgs_bridge.picture_parts import resized
 from msgs_bridge.step import (
     EPISODE_CORE, Q_VALUE_AXES, Q_VALUE_EXTRAS, read_step, VALIDATION_FIELDS,
 )
+from msgs_bridge.topics import CMD_VEL, COMPRESSED_TYPE, IMAGE, PLAIN_TWIST_TYPE, STEP
 from msgs_bridge.twists import Command, read_command
 
-IMAGE_TYPES = ('sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage')
-TWIST_TYPES = ('geometry_msgs/msg/TwistStamped', 'geometry_msgs/msg/Twist')
-BUNDLE_TYPE = 'sensor_msgs/msg/JointState'
+IMAGE_TYPES = (IMAGE.type_name, COMPRESSED_TYPE)
+TWIST_TYPES = (CMD_VEL.type_name, PLAIN_TWIST_TYPE)
+BUNDLE_TYPE = STEP.type_name
 ROLES = ('image_raw', 'step', 'q_values', 'cmd_vel', 'episode', 'validation')
 """What a car's topics are to it, by the names of the contract."""
 
@@ -67,7 +68,8 @@ class Drive:
         encoding: what the image says of itself.
         step: values by name of the `step` of that stamp, or of the newest.
         actions: name and value of each output of the network.
-        chosen: index of the action, None where none is known.
+        chosen: index of the action, of one along two axes the nearest node of each; () where none
+            is known.
         explored: whether it was drawn at random.
         version: of the weights.
         command: of the twist that answers the picture.
@@ -82,7 +84,7 @@ class Drive:
     encoding: str = ''
     step: dict[str, float] = dataclasses.field(default_factory=dict)
     actions: list[tuple[str, float]] = dataclasses.field(default_factory=list)
-    chosen: int | None = None
+    chosen: tuple[int, ...] = ()
     explored: bool = False
     version: float | None = None
     command: Command | None = None
@@ -237,8 +239,10 @@ class Car:
         drive = self.drive
         drive.actions = [(name, value) for name, value in values.items()
                          if name not in {**Q_VALUE_EXTRAS, **Q_VALUE_AXES}][:MAX_ACTIONS]
-        chosen = int(values['chosen'])
-        drive.chosen = chosen if 0 <= chosen < max(len(drive.actions), 1) else None
+        most = max(len(drive.actions), 1)
+        drive.chosen = tuple(
+            int(values[name]) for name in ('chosen', 'chosen_second')
+            if 0 <= values.get(name, -1) < most)
         drive.explored = values['explored'] > 0
         drive.version = values['weights_version']
         self.series.add(now, values, 'q.')
@@ -302,5 +306,4 @@ def _no_larger(pixels: np.ndarray) -> np.ndarray:
     if part >= 1:
         return pixels
     size = max(1, round(width * part)), max(1, round(height * part))
-    return np.asarray(Image.fromarray(np.ascontiguousarray(pixels)).resize(
-        size, Image.Resampling.BOX))
+    return resized(pixels, *size)

@@ -134,7 +134,7 @@ function showDrive(drive) {
   const low = Math.min(...values);
   const spread = Math.max(...values) - low || 1;
   byId('actions').replaceChildren(...actions.map(([name, value], index) => {
-    const taken = index === drive.chosen;
+    const taken = drive.chosen.includes(index);
     const row = element('div', null, taken ? 'action chosen' : 'action');
     const bar = element('meter');
     // the bars show the differences, which are small beside the values
