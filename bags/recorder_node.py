@@ -109,7 +109,6 @@ class BagRecorderNode(NodeShell):
         self._refused: set[tuple[str, str]] = set()
         self._said_waiting = ''
         self._discoveries = 0
-        self._began = time.monotonic()
         self._losses_said = (0, 0.0)
         self._most_bytes = resident_bytes() + settings.cache_bytes + MOST_WAITING_BYTES
         self._dropped_at = 0.0
@@ -120,6 +119,7 @@ class BagRecorderNode(NodeShell):
         self._subscribe_to_contract()
         self._intake.start()
         self.create_timer(DISCOVERY_SECONDS, self._discover)
+        self._began = time.monotonic()
         self._line = LiveLine()
         self._size = (0.0, 0)
         names = ('every topic as it appears' if self._wanted is None
