@@ -9,6 +9,9 @@ from dqn_policy_node.camera import CameraSettings
 from msgs_bridge.command_scale import CommandScale
 from msgs_bridge.settings import setting
 
+# what the diagnostics say when nothing is missing
+LEARNING, VALIDATING = 'learning', 'validating the last weights'
+
 
 @dataclasses.dataclass(frozen=True)
 class RunSettings:
