@@ -18,6 +18,7 @@ from typing import Any
 
 from msgs_bridge.errors import BridgeError, SettingsError
 from msgs_bridge.before_rclpy import before_rclpy
+from msgs_bridge.log_callers import hide_folders
 from msgs_bridge.plain_text import plain
 from msgs_bridge.settings import text_table
 from msgs_bridge.transport.time_slices import shorten_time_slices
@@ -99,6 +100,7 @@ def run_node(make_node: Callable[[], Any], args: list[str] | None = None) -> int
                 '--ros-args -p NAME:=VALUE; --help lists them')
         else:
             before_rclpy()
+            hide_folders()
             STARTED.arguments = arguments
             finished = _spin_to_the_end(make_node, arguments)
             code = 0 if finished else STARTED.stopped_code

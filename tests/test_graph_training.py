@@ -3,10 +3,12 @@
 """The whole learning graph: it learns, it survives, it goes on, and a bag tells the same story."""
 import csv
 import os
+from pathlib import Path
 import signal
 import subprocess
 import time
 
+from bags.cdr_time import first_time
 from bags.frames import recorded_frames
 from bags.reader import BagReader
 from bags.transitions import bag_transitions
@@ -163,6 +165,16 @@ def test_run_drives_laps_and_leaves_a_bag(tmp_path):
     ends = [t for t in joined if t.terminated or t.truncated]
     assert [t.step.seed for t in ends] == [420, 421]
     assert len(joined) == sum(t.step.decision for t in ends)
+    with BagReader(output / 'bag') as reader:
+        first = {name: next(reader.messages([name])) for name in ('/cmd_vel', '/q_values')}
+        # the first decision is there, too
+        assert len({first_time(bytes(message.data)) for message in first.values()}) == 1
+        # and who gets the bag does not learn whose home it comes from
+        logged = [bytes(message.data) for message in reader.messages(['/rosout'])]
+        assert any(b'dqn_policy_node/node.py' in one for one in logged)
+        folders = [str(folder).encode() for folder in (Path(__file__).parents[1], tmp_path)]
+        assert not any(folder in bytes(message.data) for folder in folders
+                       for message in reader.messages(list(reader.topics)))
 
 
 @pytest.mark.parametrize('words, error', [
