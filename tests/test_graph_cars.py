@@ -223,7 +223,7 @@ def test_a_car_that_joined_says_that_its_trainer_has_gone_and_ends(cars):
     car = graph.start('joined', [
         sys.executable, '-m', 'carracing_dqn.bringup', 'drive', '--join', '--wait', '12',
         '--namespace', graph.namespace, '--output', str(graph.log_folder / 'car')])
-    graph.spin_until(lambda: learned(graph, 0) > 20, 60, 'a car that joined')
+    graph.spin_until(lambda: learned(graph, 0) > 20, 120, 'a car that joined')
     graph.children['trainer'].asked = True
     graph.children['trainer'].signal(signal.SIGTERM)
     wait_for(lambda: car.code is not None, 90, 'the end of the car')
