@@ -16,6 +16,7 @@ from learning_cases import create, drive, stream, tiny, validation
 from msgs_bridge import atomic_write
 from msgs_bridge.errors import BridgeError
 import pytest
+import torch
 from trainer_node import observation_blocks, open_run
 from trainer_node.checkpoint import Checkpoint
 from trainer_node.checkpoint_file import read_checkpoint, write_checkpoint
@@ -23,6 +24,7 @@ from trainer_node.errors import RunError
 from trainer_node.open_run import open_training, resume_point, run_settings
 from trainer_node.run_folder import RunFolder
 from trainer_node.training import Training
+from trainer_node.without_replay import copy_without_replay, main as without_replay_main
 
 
 @pytest.fixture(scope='module')
@@ -354,6 +356,37 @@ def test_resume_point_says_what_a_resume_would(run):
         resume_point(run.path, tiny(hidden=16))
     record = json.loads(run.record.read_text())
     assert len(record['sessions']) == 1
+
+
+def test_a_copy_without_the_replay_is_small_and_goes_on(run, tmp_path):
+    # of a tiny network on tiny observations: those of a real one are all of it but some MB
+    size = sum(path.stat().st_size for path in run.checkpoint.parent.iterdir())
+    before = {path: path.read_bytes() for path in run.path.rglob('*') if path.is_file()}
+    copy_without_replay(run.path, tmp_path / 'copy')
+    assert {path: path.read_bytes() for path in run.path.rglob('*') if path.is_file()} == before
+    copied = RunFolder(tmp_path / 'copy')
+    assert [path.name for path in copied.checkpoint.parent.iterdir()] == [copied.checkpoint.name]
+    assert copied.checkpoint.stat().st_size < 0.7 * size
+    own, other = resume(run), resume(copied)
+    assert (other.decisions, other.episodes, other.learning.epsilon) == (
+        own.decisions, own.episodes, own.learning.epsilon)
+    for name, tensor in own.learning.learner.state_tensors().items():
+        assert torch.equal(tensor, other.learning.learner.state_tensors()[name])
+    updates, starts = other.learning.learner.updates, other.settings.learning_starts
+    drive(other, stream(starts, seed=5))
+    assert other.learning.learner.updates == updates and len(other.learning.replay) < 2 * starts
+    drive(other, stream(40, seed=6))
+    assert other.learning.learner.updates > updates
+    other.save()
+    assert resume(copied).decisions == own.decisions + starts + 40
+
+
+@pytest.mark.parametrize('where', ['there', 'run/copy', '/proc/nowhere'])
+def test_a_copy_that_cannot_be_made_is_one_line(run, tmp_path, where, capsys):
+    (tmp_path / 'there').mkdir()
+    assert without_replay_main([str(run.path), str(tmp_path / where)]) == 2
+    assert capsys.readouterr().err.count('\n') == 1
+    assert without_replay_main([str(tmp_path / 'there'), str(tmp_path / 'new')]) == 2
 
 
 def test_two_processes_do_not_learn_into_one_folder(run):

@@ -103,18 +103,11 @@ class Learning:
         torch.manual_seed(settings.seed)
         self.settings = settings
         self.description = settings.model_description()
-        space = self.description.action_space
         self._random = np.random.default_rng(settings.seed)
         self._preprocess = Preprocessor(self.description.preprocessing)
         self._shaping = Shaping(settings)
         self.learner = make_learner(settings, device)
-        self.replay = ReplayBuffer(
-            settings.replay_capacity, self.description.preprocessing.shape,
-            frame_stack=settings.frame_stack, n_steps=settings.n_steps, gamma=settings.gamma,
-            action_dtype=space.dtype, action_shape=space.shape,
-            mirror=space.mirror if settings.flips else None)
-        self.limiter = ReplayRatioLimiter(
-            settings.samples_per_transition, settings.batch_size, settings.learning_starts)
+        self.replay, self.limiter = self._empty_replay()
         self._learning_rate = schedules.LearningRate(settings)
         self.episodes = self.decisions = self.taken = 0
         self.left_out: Counter[str] = Counter()
@@ -122,6 +115,22 @@ class Learning:
         self._only = SourceState(0)
         self.sources: dict[str, SourceState] = {}
         self.returns: deque[float] = deque(maxlen=MOVING_AVERAGE_EPISODES)
+
+    def _empty_replay(self) -> tuple[ReplayBuffer, ReplayRatioLimiter]:
+        settings, space = self.settings, self.description.action_space
+        return ReplayBuffer(
+            settings.replay_capacity, self.description.preprocessing.shape,
+            frame_stack=settings.frame_stack, n_steps=settings.n_steps, gamma=settings.gamma,
+            action_dtype=space.dtype, action_shape=space.shape,
+            mirror=space.mirror if settings.flips else None,
+        ), ReplayRatioLimiter(
+            settings.samples_per_transition, settings.batch_size, settings.learning_starts)
+
+    def forget_replay(self) -> None:
+        """Empty the replay; updates go on once `learning_starts` transitions have come in."""
+        self.replay, self.limiter = self._empty_replay()
+        for of in (self._only, *self.sources.values()):
+            of.segment_end = None
 
     def insert(self, transition: Transition, source: str = '') -> None:
         """

@@ -119,6 +119,11 @@ class ObservationBlocks:
         self.checksums = {block: checksums[block] for block in _needed(replay)}
 
 
+def is_block(path: Path) -> bool:
+    """Return whether a file is a block, by its name."""
+    return _NAME.fullmatch(path.name) is not None
+
+
 def _needed(replay: ReplayBuffer) -> range:
     """Return the numbers of the full blocks that hold an observation of the buffer."""
     return range(replay.oldest // BLOCK, replay.written // BLOCK)
