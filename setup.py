@@ -22,7 +22,7 @@ PACKAGES = [
 EXECUTABLES = (
     'carracing', 'carracing_sim_node', 'dqn_policy_node', 'trainer_node', 'validation_node',
     'bag_recorder_node', 'bag_player_node', 'gymnasium_sim_node', 'mujoco_robot_node',
-    'referee_node', 'image_annotator_node', 'teleop_node',
+    'referee_node', 'image_annotator_node', 'teleop_node', 'race_node',
 )
 SHARED = ('launch', 'config', 'models', 'layouts')
 

@@ -50,6 +50,9 @@ class ActionSpace(Protocol):
     def encode(self, command: Command) -> Any:
         """Return the encoded action that a command meant; raises MessageError for none."""
 
+    def nearest(self, command: Command) -> Any:
+        """Return the encoded action whose command is nearest to a finite one."""
+
     def decode(self, action: Any) -> Command:
         """Return the command of an encoded action."""
 
@@ -106,15 +109,22 @@ class Discrete:
         Raises:
             MessageError: none of the table is within `TOLERANCE` in both numbers.
         """
-        distances = [
-            max(abs(given - own) for given, own in zip(command, candidate))
-            for candidate in self.commands]
+        distances = self._distances(command)
         distance = min(distances)
         if not distance <= TOLERANCE:
             linear, angular = command
             raise MessageError(
                 f'linear {linear:g}, angular {angular:g} is no action of {self.name!r}')
         return distances.index(distance)
+
+    def nearest(self, command: Command) -> int:
+        """Return the index of the nearest action, by the larger of both differences."""
+        distances = self._distances(command)
+        return distances.index(min(distances))
+
+    def _distances(self, command: Command) -> list[float]:
+        return [max(abs(given - own) for given, own in zip(command, candidate))
+                for candidate in self.commands]
 
     def decode(self, action: int) -> Command:
         """Return the command of an index."""

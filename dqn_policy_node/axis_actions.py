@@ -147,6 +147,13 @@ class Hybrid:
         raise MessageError(
             f'linear {linear:g}, angular {angular:g} is no action of {self.name!r}')
 
+    def nearest(self, command: Command) -> np.ndarray:
+        """Return the places of the nearest command that there is, float32 (2,)."""
+        held = [Command(*(min(max(given, nodes[0]), nodes[-1])
+                          for given, nodes in zip(command, mode.nodes))) for mode in self.modes]
+        return self.encode(min(held, key=lambda own: max(
+            abs(given - kept) for given, kept in zip(command, own))))
+
     def _action(self, places: list[float]) -> np.ndarray:
         return np.array([*places, NONE][:2], np.float32)
 

@@ -11,7 +11,8 @@ import textwrap
 import time
 
 from carracing_dqn.bringup.graph import (
-    ANNOTATOR, cars_graph, driving_graph, KINDS, REFEREE, replay_graph, TELEOP, training_graph,
+    ANNOTATOR, cars_graph, driving_graph, KINDS, race_graph, REFEREE, replay_graph, TELEOP,
+    training_graph,
 )
 from carracing_dqn.bringup.processes import ChildDied, node_command, ProcessGroup
 from graph_probe import wait_for
@@ -103,6 +104,7 @@ def test_a_car_that_dies_does_not_end_the_others_but_the_last_one_does(tmp_path)
 def test_graphs_name_parameters_that_the_nodes_know():
     graphs = [driving_graph(model='racing', seed=1, bag='bag'), replay_graph(bag='bag'),
               training_graph(Hyperparameters(), trainer={'run': 'x', 'preset': 'y'}),
+              race_graph(seed=1, episodes=2, race={'rivals': 'x', 'real_time_factor': 1.0}),
               cars_graph(Hyperparameters(), 2, trainer={'run': 'x', 'preset': 'y'}, bag='bag')]
     seen = set()
     for node in sum(graphs, ()):

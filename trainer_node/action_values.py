@@ -28,6 +28,13 @@ class ActionValues(Protocol):
     def highest(self, outputs: torch.Tensor) -> torch.Tensor:
         """Return the value of it, (B,), of outputs (B, O)."""
 
+    def apart(self, actions: torch.Tensor, outputs: int) -> torch.Tensor:
+        """
+        Return how far each output is from actions, encoded (B, ...): (B, O), 0 to 1.
+
+        0 is the action's own, 1 another altogether.
+        """
+
 
 class OutputValues:
     """An action is an output: a table of commands."""
@@ -44,6 +51,11 @@ class OutputValues:
     def highest(self, outputs: torch.Tensor) -> torch.Tensor:
         """Return the highest output, (B,)."""
         return outputs.amax(1)
+
+    def apart(self, actions: torch.Tensor, outputs: int) -> torch.Tensor:
+        """Return 0 for the index of an action, 1 for the others, float32 (B, O)."""
+        places = torch.arange(outputs, device=actions.device)
+        return (places != actions.long().unsqueeze(1)).float()
 
 
 class AxisValues:
@@ -84,6 +96,17 @@ class AxisValues:
         return torch.stack([
             torch.stack([outputs[:, axis].amax(1) for axis in axes]).mean(0)
             for axes in self._layout], 1).amax(1)
+
+    def apart(self, actions: torch.Tensor, outputs: int) -> torch.Tensor:
+        """Return the way along the axes of the action's mode, 1 from its next node on, (B, O)."""
+        places = torch.arange(outputs, device=actions.device)
+        apart = torch.ones((len(actions), outputs), device=actions.device)
+        for axes in self._layout:
+            own = (actions[:, 0] >= axes[0].start) & (actions[:, 0] <= axes[0].stop - 1)
+            for number, axis in enumerate(axes):
+                away = (places[axis] - actions[:, number].unsqueeze(1)).abs().clamp(max=1)
+                apart[:, axis] = torch.where(own.unsqueeze(1), away, apart[:, axis])
+        return apart
 
 
 def action_values(space: ActionSpace) -> ActionValues:

@@ -24,14 +24,21 @@ _NO_SUM = b'0' * 64
 
 def write_checkpoint(
     path: Path | str, arrays: dict[str, np.ndarray], state: dict[str, Any],
+    format_name: str = FORMAT,
 ) -> None:
     """
     Write arrays and a JSON state; on any error the file that was there stays whole.
 
+    Args:
+        path: of the file.
+        arrays: by name.
+        state: JSON values.
+        format_name: what the file is.
+
     Raises:
         OSError: the folder cannot be written or the disk is full.
     """
-    record = json.dumps({'format': FORMAT, 'sha256': _NO_SUM.decode(), 'state': state})
+    record = json.dumps({'format': format_name, 'sha256': _NO_SUM.decode(), 'state': state})
     # one entry, because safetensors writes several in no fixed order
     data = safetensors.numpy.save(
         {name: np.asarray(array, order='C') for name, array in arrays.items()},
@@ -41,7 +48,9 @@ def write_checkpoint(
     write_bytes(path, data[:place] + digest + data[place + len(digest):])
 
 
-def read_checkpoint(path: Path | str) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+def read_checkpoint(
+    path: Path | str, format_name: str = FORMAT,
+) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """
     Read what `write_checkpoint` wrote; every byte of it is checked.
 
@@ -50,20 +59,20 @@ def read_checkpoint(path: Path | str) -> tuple[dict[str, np.ndarray], dict[str, 
     """
     path = Path(path)
     if not path.exists():
-        raise RunError(f'{path}: no such checkpoint')
+        raise RunError(f'{path}: no such file')
     data = read_regular(path, MAX_BYTES, RunError)
     try:
         header_size = 8 + int.from_bytes(data[:8], 'little')
         header = json.loads(data[8:header_size])
         record = json.loads(header['__metadata__']['checkpoint'])
         digest, state = record['sha256'], record['state']
-        if record['format'] != FORMAT:
-            raise RunError(f'{path}: not a {FORMAT}')
+        if record['format'] != format_name:
+            raise RunError(f'{path}: not a {format_name}')
         place = data.index(digest.encode(), 8, header_size)
     except RunError:
         raise
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
-        raise RunError(f'{path}: damaged, or not a {FORMAT}') from None
+        raise RunError(f'{path}: damaged, or not a {format_name}') from None
     summed = hashlib.sha256(data[:place])
     summed.update(_NO_SUM)
     summed.update(memoryview(data)[place + len(_NO_SUM):])

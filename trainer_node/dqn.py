@@ -18,7 +18,8 @@ class DqnLearner(ValueLearner):
             self.working.prepare(batch.observations), dropout=self.dropout)
         chosen = self.actions.of(q_values, batch.actions)
         error = chosen - target
-        return self.loss_of(error).mean(), error.abs().mean(), chosen.mean()
+        loss = self.loss_of(error).mean() + self._margin_loss(q_values, batch)
+        return loss, error.abs().mean(), chosen.mean()
 
     @torch.no_grad()
     def _targets(self, batch: Batch) -> torch.Tensor:

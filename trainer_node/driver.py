@@ -23,6 +23,8 @@ from msgs_bridge.transitions import Transition
 from trainer_node.outlook import Outlook
 from trainer_node.training import Training
 
+# updates from demonstrations between two turns, so that a run can be stopped meanwhile
+PRETRAINED_AT_ONCE = 10
 # a snapshot of the figures is taken every so many transitions
 STATUS_EVERY = 20
 
@@ -78,6 +80,11 @@ class Driver:
         self._give_up_at = 0.0
         self._hand_out()
 
+    @property
+    def pretraining(self) -> bool:
+        """Return whether turns learn from demonstrations, and no transition is to be taken yet."""
+        return self.training.pretraining and not self.ended
+
     def request_save(self) -> None:
         """Let a checkpoint be written at the next turn."""
         self._requests.put(self._save)
@@ -127,6 +134,11 @@ class Driver:
                 self.done = True
             return not self.done
         training = self.training
+        if self.pretraining:
+            for _ in range(PRETRAINED_AT_ONCE):
+                if training.pretraining:
+                    training.pretrain()
+            self.status = training.status()
         if training.checkpoint_due():
             self._save()
         if training.weights_due():

@@ -115,6 +115,22 @@ class Hyperparameters:
     flips: bool = setting(
         False, 'mirror half of the samples left to right (AMD-RIPS 2018)')
 
+    demonstrations: str = setting(
+        '', 'file of demonstrations, its path seen from the run folder; `carracing train '
+        '--demonstrations` makes it from bags; empty: none')
+    demonstration_share: float = setting(
+        0.25, 'share of each batch that is drawn from demonstrations (arXiv 1909.01387)',
+        low=0.0, high=0.9)
+    demonstration_updates: int = setting(
+        2000, 'updates from demonstrations alone before anything is driven', low=0,
+        high=10_000_000)
+    demonstration_margin: float = setting(
+        0.8, 'by how much the value of a demonstrated action is to be above the others (arXiv '
+        '1704.03732)', low=0.0, high=1000.0)
+    demonstration_weight: float = setting(
+        1.0, 'weight of the loss that sees to it; 0 = learn from demonstrations as from any '
+        'transition', low=0.0, high=1000.0)
+
     # How it learns. ----------------------------------------------------------------------------
     learner: str = setting(
         'dqn', 'the algorithm: DQN (2.2.1) or quantile regression DQN (arXiv 1710.10044)',
@@ -265,6 +281,11 @@ class Hyperparameters:
                 f'tuner_series is {self.tuner_series}, but {self.action_space!r} has not both '
                 'single commands and axes; those that have: '
                 + ', '.join(name for name, space in ACTION_SPACES.items() if has_two_parts(space)))
+        if self.demonstrations and self.demonstration_weight and not LEARNERS[self.learner].margin:
+            raise SettingsError(
+                f'learner {self.learner!r} knows no margin of demonstrations; those that do: '
+                + ', '.join(name for name, entry in LEARNERS.items() if entry.margin)
+                + '; without it: demonstration_weight=0')
         if self.epsilon_end > self.epsilon_start:
             raise SettingsError(f'epsilon_end {self.epsilon_end} is above epsilon_start '
                                 f'{self.epsilon_start}')

@@ -72,15 +72,17 @@ class LearnerEntry:
     Attributes:
         place: `module:class`.
         quantiles: whether its network gives quantiles of the return instead of one value.
+        margin: whether its loss keeps demonstrated actions above the others by a margin.
     """
 
     place: str
     quantiles: bool = False
+    margin: bool = False
 
 
 LEARNERS = {
-    'dqn': LearnerEntry('trainer_node.dqn:DqnLearner'),
-    'qr_dqn': LearnerEntry('trainer_node.qr_dqn:QrDqnLearner', quantiles=True),
+    'dqn': LearnerEntry('trainer_node.dqn:DqnLearner', margin=True),
+    'qr_dqn': LearnerEntry('trainer_node.qr_dqn:QrDqnLearner', quantiles=True, margin=True),
 }
 
 

@@ -21,11 +21,12 @@ from dqn_policy_node.preprocessing import Preprocessor
 from msgs_bridge.errors import MessageError
 from msgs_bridge.transitions import Transition
 from trainer_node import schedules
+from trainer_node.demonstrations import Demonstrations
 from trainer_node.errors import LearningError
 from trainer_node.hyperparameters import Hyperparameters
 from trainer_node.learner import make_learner
 from trainer_node.limiter import LimiterState, ReplayRatioLimiter
-from trainer_node.replay_buffer import ReplayBuffer
+from trainer_node.replay_buffer import Batch, make_replay, ReplayBuffer, sample_both
 from trainer_node.shaping import Shaping
 
 MOVING_AVERAGE_EPISODES = 20
@@ -74,6 +75,7 @@ class LearningState:
     random: dict[str, Any]
     learner_random: dict[str, Any]
     sources: dict[str, SourceState] = dataclasses.field(default_factory=dict)
+    demonstrations: str = ''
 
 
 class Learning:
@@ -87,6 +89,7 @@ class Learning:
         State: what `state` returns.
         settings: the hyperparameters.
         description: the model that is learned.
+        demonstrations: what a part of each batch is drawn from; None without any.
         replay, learner, limiter: the parts.
         episodes, decisions: episodes that ended, transitions that were inserted.
         taken: transitions that came, with those that were left out.
@@ -97,11 +100,14 @@ class Learning:
 
     State = LearningState
 
-    def __init__(self, settings: Hyperparameters, device: str = 'auto') -> None:
+    def __init__(
+        self, settings: Hyperparameters, device: str = 'auto',
+        demonstrations: Demonstrations | None = None,
+    ) -> None:
         """Begin with an empty buffer and random weights; raises LearningError."""
         torch.set_num_threads(1)
         torch.manual_seed(settings.seed)
-        self.settings = settings
+        self.settings, self.demonstrations = settings, demonstrations
         self.description = settings.model_description()
         self._random = np.random.default_rng(settings.seed)
         self._preprocess = Preprocessor(self.description.preprocessing)
@@ -117,13 +123,8 @@ class Learning:
         self.returns: deque[float] = deque(maxlen=MOVING_AVERAGE_EPISODES)
 
     def _empty_replay(self) -> tuple[ReplayBuffer, ReplayRatioLimiter]:
-        settings, space = self.settings, self.description.action_space
-        return ReplayBuffer(
-            settings.replay_capacity, self.description.preprocessing.shape,
-            frame_stack=settings.frame_stack, n_steps=settings.n_steps, gamma=settings.gamma,
-            action_dtype=space.dtype, action_shape=space.shape,
-            mirror=space.mirror if settings.flips else None,
-        ), ReplayRatioLimiter(
+        settings = self.settings
+        return make_replay(settings, settings.replay_capacity), ReplayRatioLimiter(
             settings.samples_per_transition, settings.batch_size, settings.learning_starts)
 
     def forget_replay(self) -> None:
@@ -194,6 +195,12 @@ class Learning:
             raise MessageError(str(error)) from None
 
     @property
+    def pretraining(self) -> bool:
+        """Return whether updates from demonstrations alone are due, before anything is driven."""
+        return (self.demonstrations is not None
+                and self.learner.updates < self.settings.demonstration_updates)
+
+    @property
     def due(self) -> bool:
         """Return whether an update is due."""
         return self.limiter.due()
@@ -209,10 +216,19 @@ class Learning:
             LearningError: the loss is not finite.
         """
         self._learning_rate.progressed(progress)
-        batch = self.replay.sample(self.settings.batch_size, self._random)
-        figures = self.learner.update(batch, self._learning_rate.value)
-        self.limiter.sampled()
+        pretraining = self.pretraining
+        figures = self.learner.update(self._sample(pretraining), self._learning_rate.value)
+        if not pretraining:
+            self.limiter.sampled()
         return figures
+
+    def _sample(self, pretraining: bool) -> Batch:
+        size = self.settings.batch_size
+        if self.demonstrations is None:
+            return self.replay.sample(size, self._random)
+        share = 1.0 if pretraining else self.settings.demonstration_share
+        return sample_both(self.replay, self.demonstrations.replay, size, round(share * size),
+                           self._random)
 
     def end_episode(self, episode_return: float, source: str = '') -> None:
         """Take note of the end of an episode of a source."""
@@ -278,7 +294,8 @@ class Learning:
             self._only.segment_end,
             self.replay.written, self.learner.updates, self.limiter.state(),
             self._learning_rate.state(), list(self.returns), self._random.bit_generator.state,
-            self.learner.random_state, self.sources)
+            self.learner.random_state, self.sources,
+            self.demonstrations.sha256 if self.demonstrations else '')
 
     def restore(self, state: LearningState, arrays: dict[str, np.ndarray]) -> None:
         """Go on from a checkpoint; KeyError, ValueError, ... if it does not fit."""
@@ -286,6 +303,8 @@ class Learning:
             return {name.removeprefix(what): array for name, array in arrays.items()
                     if name.startswith(what)}
 
+        if state.demonstrations != (self.demonstrations.sha256 if self.demonstrations else ''):
+            raise ValueError('its demonstrations are others than the run began with')
         self.learner.load_state(
             {name: torch.from_numpy(array) for name, array in of('learner.').items()},
             state.updates)

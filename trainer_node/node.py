@@ -185,12 +185,12 @@ class TrainerNode(NodeShell):
             self._take_messages()
             # looking for messages of many cars takes time, so it is done once for all of them
             for _ in range(max(len(self._cars), 1)):
-                taken = self._sources.take()
+                taken = None if driver.pretraining else self._sources.take()
                 if taken is not None:
                     driver.add(*taken)
                 if not driver.turn():
                     return
-                if taken is None:
+                if taken is None and not driver.pretraining:
                     time.sleep(IDLE_SECONDS * max(len(self._cars) / 2, 1))
                     break
 

@@ -34,6 +34,7 @@ class QrDqnLearner(ValueLearner):
         error = target.unsqueeze(2) - chosen.unsqueeze(1)
         weight = (self._shares - (error.detach() < 0).float()).abs()
         loss = (weight * self.loss_of(error)).mean(1).sum(1).mean()
+        loss = loss + self._margin_loss(quantiles.mean(2), batch)
         mean = chosen.mean(1)
         return loss, (mean - target.mean(1)).abs().mean(), mean.mean()
 

@@ -20,6 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from trainer_node.hyperparameters import Hyperparameters
 from trainer_node.stack_gather import gather_stacks
 
 
@@ -34,6 +35,7 @@ class Batch(NamedTuple):
         next_observations: uint8 (B, stack, H, W), what was seen after those steps.
         discounts: float32 (B,), factor on the value of `next_observations`; 0 where the rules
             ended the episode, a cut-off episode goes on being worth something.
+        demonstrated: how many of the first samples were demonstrated.
     """
 
     observations: np.ndarray
@@ -41,6 +43,7 @@ class Batch(NamedTuple):
     rewards: np.ndarray
     next_observations: np.ndarray
     discounts: np.ndarray
+    demonstrated: int = 0
 
 
 class ReplayBuffer:
@@ -291,3 +294,31 @@ class ReplayBuffer:
         back[1:][same] = distances[same]
         self._back[slots] = back * (self._ages[slots] > 0)
         self._newest = dict(zip(sources.tolist(), numbers.tolist()))
+
+
+def make_replay(settings: Hyperparameters, capacity: int) -> ReplayBuffer:
+    """Return an empty buffer for the model and the returns of a run."""
+    description = settings.model_description()
+    space = description.action_space
+    return ReplayBuffer(
+        capacity, description.preprocessing.shape, frame_stack=settings.frame_stack,
+        n_steps=settings.n_steps, gamma=settings.gamma, action_dtype=space.dtype,
+        action_shape=space.shape, mirror=space.mirror if settings.flips else None)
+
+
+def sample_both(
+    replay: ReplayBuffer, demonstrations: ReplayBuffer, batch_size: int, demonstrated: int,
+    random: np.random.Generator,
+) -> Batch:
+    """
+    Draw a batch that begins with so many demonstrated transitions.
+
+    Raises:
+        ValueError: one that is drawn from holds no transition.
+    """
+    parts = [buffer.sample(count, random) for buffer, count in (
+        (demonstrations, demonstrated), (replay, batch_size - demonstrated)) if count]
+    if len(parts) == 1:
+        return parts[0]._replace(demonstrated=demonstrated)
+    # keeps the channels last in memory, as both parts have them
+    return Batch(*map(np.concatenate, list(zip(*parts))[:5]), demonstrated)

@@ -25,6 +25,7 @@ from dqn_policy_node.weights_message import AXES_SHARE, encode_weights
 from msgs_bridge.machine import describe_machine
 from msgs_bridge.transitions import Transition
 from trainer_node.checkpoint import Checkpoint, Part, refuse_differences
+from trainer_node.demonstrations import read_demonstrations
 from trainer_node.errors import LearningError, RunError
 from trainer_node.hyperparameters import Hyperparameters, to_yaml
 from trainer_node.learning import Learning
@@ -62,7 +63,8 @@ class Training:
         self.settings = settings
         self.folder = folder
         self._clock = RunClock(clock)
-        self.learning = Learning(settings, device)
+        self.learning = Learning(settings, device, read_demonstrations(
+            folder.path / settings.demonstrations, settings) if settings.demonstrations else None)
         self.selection = ModelSelection(settings)
         self.tuner = Tuner(settings) if settings.tuner_series else None
         self._record = RunRecord(
@@ -103,9 +105,11 @@ class Training:
             training.learning.begin_with(
                 load_model(find_model(settings.initial_model, folder.path)))
         folder.write_config(to_yaml(settings))
+        shown = training.learning.demonstrations
         training._begin_session({
             'started': now(), 'seeds': {
-                'training': settings.seed, 'validation': settings.validation_seed}})
+                'training': settings.seed, 'validation': settings.validation_seed},
+            **({'demonstrations': dataclasses.asdict(shown.summary)} if shown else {})})
         # from its first moment on there is something to go on from
         training.save()
         return training
@@ -240,9 +244,7 @@ class Training:
             if self.tuner is not None:
                 self.tuner.took(transition.command, source)
             while learning.due:
-                self._record.updated(
-                    learning.update(self.progress), learning, epsilon=learning.epsilon,
-                    seconds=self.wall_seconds)
+                self._update()
         except LearningError as error:
             self._failure = error
             raise
@@ -258,6 +260,25 @@ class Training:
                 seconds=self.wall_seconds, source=source)
         self.selection.ask_when_due(self.moment, episode_ended=ended)
         return learning.learner.updates - updates
+
+    @property
+    def pretraining(self) -> bool:
+        """Return whether updates from demonstrations are due, before anything is driven."""
+        return self.learning.pretraining
+
+    def pretrain(self) -> None:
+        """Make one update from demonstrations; raises LearningError as `add`."""
+        try:
+            self._update()
+        except LearningError as error:
+            self._failure = error
+            raise
+
+    def _update(self) -> None:
+        learning = self.learning
+        self._record.updated(
+            learning.update(self.progress), learning, epsilon=learning.epsilon,
+            seconds=self.wall_seconds)
 
     def weights_due(self) -> bool:
         """Return whether weights should be published now."""

@@ -99,6 +99,26 @@ class ValueLearner:
         """
         raise NotImplementedError
 
+    def _margin_loss(self, q_values: torch.Tensor, batch: Batch) -> torch.Tensor | float:
+        """
+        Return what it costs that demonstrated actions are not the best by a margin.
+
+        The large margin loss of DQfD (arXiv 1704.03732), with its weight: the highest value, each
+        raised by the margin but that of the demonstrated action, less the value of that.
+
+        Args:
+            q_values: of the online network, (B, outputs).
+            batch: as `_loss` takes it.
+        """
+        count, settings = batch.demonstrated, self.settings
+        if not count or not settings.demonstration_weight:
+            return 0.0
+        q_values, actions = q_values[:count], batch.actions[:count]
+        raised = q_values + settings.demonstration_margin * self.actions.apart(
+            actions, q_values.shape[1])
+        lost = self.actions.highest(raised) - self.actions.of(q_values, actions)
+        return settings.demonstration_weight * lost.sum() / len(batch.actions)
+
     def update(self, batch: Batch, learning_rate: float) -> dict[str, float]:
         """
         Make one update.
@@ -115,7 +135,8 @@ class ValueLearner:
             LearningError: the loss is not finite; the weights are as before the update.
         """
         loss, td_error, q_mean = self._loss(
-            Batch(*(torch.from_numpy(array).to(self.device) for array in batch)))
+            Batch(*(torch.from_numpy(array).to(self.device) for array in batch[:-1]),
+                  batch.demonstrated))
         for parameter in self._working_parameters:
             parameter.grad = None
         loss.backward()

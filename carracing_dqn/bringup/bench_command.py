@@ -6,7 +6,9 @@ from __future__ import annotations
 import argparse
 import importlib
 
-BENCHMARKS = ('sim', 'graph', 'learner', 'bags', 'cars', 'pyracerz', 'robustness', 'watch')
+BENCHMARKS = (
+    'sim', 'graph', 'learner', 'bags', 'cars', 'pyracerz', 'robustness', 'watch',
+    'demonstrations')
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

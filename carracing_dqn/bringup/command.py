@@ -22,6 +22,8 @@ SUBCOMMANDS = {
               'the whole learning graph, validation included'),
     'drive': ('carracing_dqn.bringup.drive_command',
               'one more car for a trainer that runs elsewhere'),
+    'race': ('carracing_dqn.bringup.race_command',
+             'drive the same tracks as a model yourself, in a window'),
     'study': ('carracing_dqn.studies.command',
               'training runs by a YAML file, and the page that compares them'),
     'evaluate': ('carracing_dqn.bringup.evaluate_command',

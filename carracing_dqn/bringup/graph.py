@@ -70,14 +70,21 @@ ANNOTATOR = NodeKind(
 TELEOP = NodeKind(
     'teleop_node', 'teleop', 'carracing_dqn.teleop.teleop_node',
     'carracing_dqn.teleop.settings:TeleopSettings')
+RACE = NodeKind(
+    'race_node', 'race', 'carracing_dqn.teleop.race_node',
+    'carracing_dqn.teleop.settings:RaceSettings')
 
 CAR = 'car_'
 """Begins the namespaces of cars, which go on with their number."""
 
+RACE_PATIENCE = 3600.0
+"""How long the simulator of a race waits for a person before it sends a frame again; seconds."""
+
 # a prime, so that cars do not meet the seeds of neighbouring runs soon
 SEEDS_APART = 1_000_003
 
-KINDS = (SIMULATOR, POLICY, TRAINER, VALIDATOR, RECORDER, PLAYER, REFEREE, ANNOTATOR, TELEOP)
+KINDS = (SIMULATOR, POLICY, TRAINER, VALIDATOR, RECORDER, PLAYER, REFEREE, ANNOTATOR, TELEOP,
+         RACE)
 """Every node of the package."""
 
 
@@ -141,6 +148,25 @@ def driving_graph(
         NodeSpec(SIMULATOR, {
             'simulator': simulator, 'seed': seed, 'seed_each_episode': True,
             'episodes': episodes, 'stepping': stepping, 'action_repeat': action_repeat}))
+
+
+def race_graph(
+    *, seed: int, episodes: int, race: Mapping[str, Any], bag: str | None = None,
+) -> Graph:
+    """
+    Return simulator and the window of a person, and a recorder if there is to be a bag.
+
+    Args:
+        seed: as for `driving_graph`.
+        episodes: as for `driving_graph`.
+        race: parameters of the window.
+        bag: new folder for a bag of every topic.
+    """
+    return _connected(
+        *_recorder(bag), NodeSpec(RACE, {'laps': episodes, **race}),
+        NodeSpec(SIMULATOR, {'seed': seed, 'seed_each_episode': True, 'episodes': episodes,
+                             # for a frame that waits for its lap to begin
+                             'answer_timeout': RACE_PATIENCE}))
 
 
 def training_graph(

@@ -34,6 +34,9 @@ from trainer_node.hyperparameters import Hyperparameters, load_preset, preset_na
 from trainer_node.open_run import read_overrides, resume_point, ResumePoint, run_settings
 from trainer_node.run_folder import RunFolder
 
+DEMONSTRATIONS = 'demonstrations.safetensors'
+"""File in the run folder."""
+
 LIST_HINT = 'carracing train --list prints every name and what it accepts'
 
 
@@ -68,6 +71,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--bag', action='store_true', help='record every topic into RUN/bag')
     parser.add_argument('--from-bag', nargs='+', type=Path, default=None, metavar='BAG',
                         help='learn from the transitions in bags instead of driving')
+    parser.add_argument('--demonstrations', nargs='+', type=Path, default=None, metavar='BAG',
+                        help='begin with what somebody drove in bags, a person or a model: learn '
+                             'from it first, and keep it for good (docs/learning.md)')
     parser.add_argument('--tensorboard', action='store_true',
                         help='write TensorBoard event files into RUN/tensorboard')
     parser.add_argument('--namespace', default='', help='ROS namespace of the nodes')
@@ -100,12 +106,20 @@ def main(arguments: argparse.Namespace) -> int:
             arguments.from_bag, folder, preset, overrides, console,
             namespace=arguments.namespace, resume=resume, tensorboard=arguments.tensorboard)
     find_simulator(found_from(hyperparameters.simulator, folder))
+    shown = None
+    if arguments.demonstrations:
+        from carracing_dqn.bringup.demonstrations import demonstrations_from
+        shown = demonstrations_from(
+            arguments.demonstrations, hyperparameters, arguments.namespace)
+        say(console, f'demonstrations: {shown.summary}')
     done = resume_point(folder, hyperparameters) if resume else ResumePoint()
     check_machine()
     monitor = Monitor(arguments.namespace)
     try:
         refuse_second_simulator(monitor, tuple(map(car_space, range(arguments.cars))))
         new_folder(folder, begun=begun)
+        if shown is not None:
+            shown.write(folder / DEMONSTRATIONS)
         display = Display(monitor.state, training_table, training_line, console)
         display.say(f'run folder {folder}')
         if not resume and load_preset(preset, overrides).bf16 != hyperparameters.bf16:
@@ -133,10 +147,13 @@ def _check(arguments: argparse.Namespace) -> None:
         raise BridgeError(f'--minutes is {arguments.minutes:g}; accepted: above 0, up to 1000000')
     if arguments.resume is not None and (
             arguments.run or arguments.preset or arguments.simulator
-            or arguments.initial_model):
+            or arguments.initial_model or arguments.demonstrations):
         raise BridgeError('--resume goes on in its own folder with its own settings: --run, '
-                          '--preset, --simulator, --initial-model are for a new run; --set '
-                          'changes single values')
+                          '--preset, --simulator, --initial-model, --demonstrations are for a '
+                          'new run; --set changes single values')
+    if arguments.demonstrations and arguments.from_bag:
+        raise BridgeError('--demonstrations is a beginning for a run that drives, and --from-bag '
+                          'drives nothing')
     if not 0 <= arguments.cars <= MAX_CARS:
         raise BridgeError(f'--cars is {arguments.cars}; accepted: 0 (one alone) to {MAX_CARS}')
     if arguments.from_bag and (arguments.cars or arguments.role):
@@ -163,7 +180,8 @@ def _pairs(arguments: argparse.Namespace, preset: str, folder: Path) -> list[str
     minutes = [] if arguments.minutes is None else [f'run_minutes={arguments.minutes}']
     simulator = pairs_of_simulator(arguments.simulator, preset, folder)
     model = pairs_of_model(arguments.initial_model, preset, simulator, folder)
-    return [*simulator, *model, *arguments.set, *minutes]
+    shown = [f'demonstrations={DEMONSTRATIONS}'] if arguments.demonstrations else []
+    return [*simulator, *model, *shown, *arguments.set, *minutes]
 
 
 def _what_next(folder: Path, before: str = '') -> str:

@@ -85,6 +85,8 @@ def learn_from_bags(
 def _learn(driver: Driver, transitions: Iterable[Any], say: Any) -> None:
     """Learn from all transitions, or until the run is complete."""
     next_line = 0.0
+    while driver.pretraining and driver.turn():
+        pass
     for transition in transitions:
         driver.add(transition)
         if time.monotonic() >= next_line:
@@ -116,6 +118,8 @@ def count_steps(bags: Iterable[Path], namespace: str) -> int:
 def status_line(training: Training) -> str:
     """Return how far learning is as one line."""
     status = training.status()
+    foreign = status['foreign_actions']
+    # most of what a person or another model drives is none of a few actions
+    hint = '; --demonstrations takes the nearest' if foreign > status['decisions'] else ''
     return (f'{training.progress:.0%} done, {status["decisions"]} transitions, '
-            f'{status["updates"]} updates, {status["foreign_actions"]} actions that are not in '
-            'the set')
+            f'{status["updates"]} updates, {foreign} actions that are not in the set{hint}')

@@ -54,7 +54,7 @@ def learn(
     frame = None
     try:
         while driver.turn() and not should_stop():
-            if driver.ended:
+            if driver.ended or driver.pretraining:
                 continue
             if frame is None or frame.step.ended:
                 frame = drive.begin()

@@ -6,19 +6,23 @@ from __future__ import annotations
 from collections.abc import Sequence
 import math
 
-from carracing_dqn.teleop.settings import HandSettings
+from carracing_dqn.teleop.settings import (
+    HandSettings, HeldKeySettings, TerminalKeySettings,
+)
 from msgs_bridge.errors import MessageError
 from msgs_bridge.terminal_keys import ARROWS, DOWN, LEFT, RIGHT, UP
 from msgs_bridge.twists import Command, STOP
 
 LET_GO = 'let go'
 KEYS = {**ARROWS, b'w': UP, b's': DOWN, b'a': LEFT, b'd': RIGHT, b' ': LET_GO}
+# seconds of steering that a first look, or one after a pause, may count
+LONGEST_TURN = 0.05
 
 
 class Keyboard:
     """A pedal that stays where it is, and steering that is let go by itself."""
 
-    def __init__(self, settings: HandSettings) -> None:
+    def __init__(self, settings: TerminalKeySettings) -> None:
         """Let go of everything."""
         self._settings = settings
         self._linear = self._angular = 0.0
@@ -41,6 +45,45 @@ class Keyboard:
         """Return what is wanted at a time in s."""
         held = now - self._steered_at <= self._settings.key_hold
         return Command(self._linear, self._angular if held else 0.0)
+
+
+class HeldKeys:
+    """Pedals that are pressed or not, and steering that grows while its key is held."""
+
+    def __init__(self, settings: HeldKeySettings) -> None:
+        """Hold nothing."""
+        self._settings = settings
+        self._held: set[str] = set()
+        self._steering = 0.0
+        self._at = -math.inf
+
+    def press(self, key: str) -> None:
+        """Hold a key: `UP`, `DOWN`, `LEFT` or `RIGHT`."""
+        self._held.add(key)
+
+    def release(self, key: str) -> None:
+        """Let a key go, whether it was held or not."""
+        self._held.discard(key)
+
+    def release_all(self) -> None:
+        """Let go of everything."""
+        self._held.clear()
+
+    def command(self, now: float) -> Command:
+        """Return what is wanted at a time in s, which never goes back."""
+        settings, held = self._settings, self._held
+        side = (LEFT in held) - (RIGHT in held)
+        passed = min(now - self._at, LONGEST_TURN)
+        self._at = now
+        # from one side to the other it goes through the middle at once
+        begun = self._steering if self._steering * side > 0 else 0.0
+        self._steering = side * min(
+            abs(begun) + settings.steering_rate * passed, settings.steering) if side else 0.0
+        if DOWN in held:
+            return Command(-settings.brake, self._steering)
+        turned = abs(self._steering) / settings.steering
+        gas = settings.gas * (1 - turned * (1 - settings.gas_in_bends))
+        return Command(gas if UP in held else 0.0, self._steering)
 
 
 class Joystick:

@@ -1,6 +1,6 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of teleop_node, each described once."""
+"""Parameters of teleop_node and race_node, each described once."""
 from __future__ import annotations
 
 import dataclasses
@@ -10,8 +10,8 @@ from msgs_bridge.settings import setting
 
 
 @dataclasses.dataclass(frozen=True)
-class HandSettings:
-    """What a person drives with, and how fast time goes meanwhile."""
+class TerminalKeySettings:
+    """How keys of a terminal drive."""
 
     keyboard: bool = setting(
         True, 'keys of the terminal that the node was started in: up and down change the pedal '
@@ -21,6 +21,12 @@ class HandSettings:
         'not say when it is let go', low=0.05, high=5.0)
     key_step: float = setting(0.2, 'of the pedal for each press of up or down', low=0.01, high=1.0)
     key_steering: float = setting(0.6, 'of full lock while a key is held', low=0.05, high=1.0)
+
+
+@dataclasses.dataclass(frozen=True)
+class HandSettings:
+    """A joystick, and how fast time goes while a person drives."""
+
     linear_axis: int = setting(
         1, 'axis of joy for the pedal, forward above 0; -1 = none', low=-1, high=63)
     angular_axis: int = setting(
@@ -41,5 +47,35 @@ class HandSettings:
 
 
 @dataclasses.dataclass(frozen=True)
-class TeleopSettings(CommandSettings, HandSettings):
+class TeleopSettings(CommandSettings, HandSettings, TerminalKeySettings):
     """What can be set on the teleop node."""
+
+
+@dataclasses.dataclass(frozen=True)
+class HeldKeySettings:
+    """How keys of a window drive, which says when they are let go."""
+
+    gas: float = setting(1.0, 'pedal while the key for gas is held', low=0.01, high=1.0)
+    gas_in_bends: float = setting(
+        0.2, 'what of it is left at the most steering: full gas spins a car with driven rear '
+        'wheels', low=0.0, high=1.0)
+    brake: float = setting(
+        0.4, 'pedal while the key for the brake is held; from about 0.9 on wheels of CarRacing '
+        'lock', low=0.01, high=1.0)
+    steering: float = setting(
+        0.4, 'most steering of a key; at 0.4 the wheels of CarRacing are at full lock',
+        low=0.05, high=1.0)
+    steering_rate: float = setting(
+        2.0, 'how fast a held key gets there, 1/s; let go, it is straight at once',
+        low=0.1, high=1000.0)
+
+
+@dataclasses.dataclass(frozen=True)
+class RaceSettings(CommandSettings, HandSettings, HeldKeySettings):
+    """What can be set on the race node."""
+
+    rivals: str = setting(
+        '', "JSON file of the model's laps by track, as `carracing race` writes it; empty: none")
+    laps: int = setting(0, 'laps to drive, to be shown; 0 = no end', low=0, high=10**9)
+    scale: int = setting(
+        6, 'size of a pixel of the image in pixels of the window', low=1, high=20)
