@@ -27,7 +27,7 @@ from carracing_dqn.simulation import open_drive
 from carracing_dqn.studies.one_process import learn
 from carracing_sim_node.controls import command_of
 from msgs_bridge.transitions import Transition
-from trainer_node.demonstrations import collect, Summary
+from trainer_node.demonstrations import collect, read_demonstrations, Summary
 from trainer_node.hyperparameters import Hyperparameters
 from trainer_node.open_run import open_training, read_overrides, run_settings
 from trainer_node.run_folder import RunFolder
@@ -60,19 +60,22 @@ def scripted_laps(laps: int, seed: int = DEMONSTRATED_SEED) -> Iterator[Transiti
                              frame.step, before.step)
 
 
-def train(folder: Path, settings: Hyperparameters, laps: int) -> Summary | None:
-    """Drive one run to its end, or go on with it; return what was demonstrated."""
+def show(path: Path, settings: Hyperparameters, laps: int) -> Summary:
+    """Drive demonstrations into a file, unless they are there; return what they are."""
+    if path.is_file():
+        return read_demonstrations(path, settings).summary
+    path.parent.mkdir(parents=True, exist_ok=True)
+    shown = collect(settings, scripted_laps(laps), [f'{laps} scripted laps'])
+    shown.write(path)
+    return shown.summary
+
+
+def train(folder: Path, settings: Hyperparameters) -> None:
+    """Drive one run to its end, or go on with it."""
     run = RunFolder(folder)
-    begun = run.checkpoint.is_file()
-    summary = None
-    if settings.demonstrations:
-        folder.mkdir(parents=True, exist_ok=True)
-        shown = collect(settings, scripted_laps(laps), [f'{laps} scripted laps'])
-        summary = shown.summary
-        shown.write(folder / FILE)
     if run.read_record().get('complete') is True:
-        return summary
-    training = open_training(folder, settings, resume=begun, device='cpu')
+        return
+    training = open_training(folder, settings, resume=run.checkpoint.is_file(), device='cpu')
     if not training.decisions:
         while training.pretraining:
             training.pretrain()
@@ -80,7 +83,6 @@ def train(folder: Path, settings: Hyperparameters, laps: int) -> Summary | None:
         training.record_validation(validate_weights(
             training.next_weights(validate=True), settings.validation_seeds, settings.simulator))
     learn(training)
-    return summary
 
 
 def validations(folder: Path) -> list[dict[str, float]]:
@@ -123,9 +125,11 @@ def main(argv: list[str] | None = None) -> int:
                 f'validation_tracks={args.tracks}', 'learning_rate_schedule=constant',
                 'checkpoint_every_minutes=0.5']), **read_overrides(args.set)}
             if arm == SHOWN:
-                overrides['demonstrations'] = FILE
-            summary = train(
-                folder, run_settings(folder, 'racing', overrides, resume=False), args.laps)
+                # seen from the run folder
+                overrides['demonstrations'] = f'../{FILE}'
+            settings = run_settings(folder, 'racing', overrides, resume=False)
+            summary = show(args.output / FILE, settings, args.laps) if arm == SHOWN else None
+            train(folder, settings)
             rows = validations(folder)
             found.append({
                 'arm': arm, 'seed': seed, 'validations': rows,

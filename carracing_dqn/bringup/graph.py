@@ -328,8 +328,8 @@ def _recorder(bag: str | None) -> Graph:
 def _connected(*nodes: NodeSpec, listeners: int = 0) -> Graph:
     """Let simulator and policy wait for everybody who must miss nothing of what they send."""
     listeners += sum(node.kind.hears_all for node in nodes)
-    # the simulator hears the policy's twists, too; it counts the policy itself
-    waits = {SIMULATOR: listeners, POLICY: listeners + 1}
+    # the simulator hears the driver's twists, too; it counts the driver itself
+    waits = {SIMULATOR: listeners, POLICY: listeners + 1, RACE: listeners + 1}
     return tuple(
         dataclasses.replace(node, parameters={
             **node.parameters, 'wait_for_subscribers': waits[node.kind]})

@@ -37,7 +37,7 @@ class HandNode(NodeShell):
         settings = self.settings
         self.joystick = Joystick(settings)
         self._stage = CommandStage(settings)
-        self._enabled = True
+        self._enabled, self._connected = True, False
         # stamp of the image that waits for its answer, and when that is due on the wall
         self._waiting: int | None = None
         self._due = 0.0
@@ -67,7 +67,9 @@ class HandNode(NodeShell):
 
     def may_answer(self) -> bool:
         """Return whether the image that waits may be answered."""
-        return self._enabled
+        self._connected = self._connected or (
+            self._cmd_vel.get_subscription_count() >= self.settings.wait_for_subscribers)
+        return self._enabled and self._connected
 
     def on_image(self, message: Any) -> None:
         """Take an image, which is answered when its time has come."""

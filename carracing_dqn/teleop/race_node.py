@@ -91,9 +91,11 @@ class RaceNode(HandNode):
 
     def may_answer(self) -> bool:
         """Return whether the lap has begun, which it does with gas."""
+        if not super().may_answer():
+            return False
         if not self._race.started and self._race.step is not None:
             self._race.started = self.wanted(time.monotonic()).linear > 0
-        return super().may_answer() and self._race.started
+        return self._race.started
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
         """Return what drives and how far the lap is."""

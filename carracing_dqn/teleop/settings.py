@@ -44,6 +44,9 @@ class HandSettings:
     image_compressed: bool = setting(
         False, 'true: image_raw is a CompressedImage; its stamps are all that is looked at')
     cmd_vel_stamped: bool = setting(True, 'false: publish a plain Twist')
+    wait_for_subscribers: int = setting(
+        0, "subscriptions of cmd_vel, the simulator's among them, to wait for before the first "
+        'answer, so that a recorder misses none', low=0, high=100)
 
 
 @dataclasses.dataclass(frozen=True)
