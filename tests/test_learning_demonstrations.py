@@ -99,7 +99,7 @@ def test_the_file_is_read_as_it_was_and_for_no_other_settings(tmp_path):
             ({'reward_scale': 0.5}, 'reward_scale')):
         with pytest.raises(RunError, match=f'made for another {told}'):
             read_demonstrations(path, tiny(**changes))
-    with pytest.raises(RunError, match='no such file'):
+    with pytest.raises(RunError, match='no such demonstrations'):
         read_demonstrations(tmp_path / 'nowhere', settings)
     arrays, state = read_checkpoint(path, FORMAT)
     for name, value in (('actions', np.full_like(arrays['actions'], 200)),
@@ -270,7 +270,7 @@ def test_a_run_does_not_go_on_with_other_demonstrations(tmp_path):
     with pytest.raises(RunError, match='others than the run began with'):
         Training.resume(tmp_path / 'run', device='cpu')
     (tmp_path / 'run' / 'shown').unlink()
-    with pytest.raises(RunError, match='shown: no such file'):
+    with pytest.raises(RunError, match='shown: no such demonstrations'):
         Training.resume(tmp_path / 'run', device='cpu')
 
 

@@ -59,7 +59,7 @@ def read_checkpoint(
     """
     path = Path(path)
     if not path.exists():
-        raise RunError(f'{path}: no such file')
+        raise RunError(f'{path}: no such {format_name.split()[1]}')
     data = read_regular(path, MAX_BYTES, RunError)
     try:
         header_size = 8 + int.from_bytes(data[:8], 'little')
