@@ -4,7 +4,8 @@
 `carracing bench demonstrations`: how much driving demonstrated laps save.
 
 A scripted driver stands in for a person: it follows the middle of the road, looking at the true
-track, with some noise on its steering, at 50 frames a second as a person does. The same recipe
+track twelve times a second and not quite rightly, and presses the keys of `carracing race`. It is
+recorded at 50 frames a second as a person is. The same recipe
 learns with its laps and without them, in one process, counted in decisions so that a busy machine
 changes nothing; every so many decisions the greedy policy drives the same validation tracks.
 What is in the output folder is gone on with.
@@ -25,7 +26,9 @@ from carracing_dqn.evaluation.tables import read_table
 from carracing_dqn.evaluation.validator import validate_weights
 from carracing_dqn.simulation import open_drive
 from carracing_dqn.studies.one_process import learn
-from carracing_sim_node.controls import command_of
+from carracing_dqn.teleop.hand import DOWN, HeldKeys, LEFT, RIGHT, UP
+from carracing_dqn.teleop.settings import RaceSettings
+from msgs_bridge.stamps import NANOSECONDS
 from msgs_bridge.transitions import Transition
 from trainer_node.demonstrations import collect, read_demonstrations, Summary
 from trainer_node.hyperparameters import Hyperparameters
@@ -34,9 +37,10 @@ from trainer_node.run_folder import RunFolder
 
 # beyond the tracks of tests and of the figures in docs/learning.md
 DEMONSTRATED_SEED = 900_000
-STEERING_NOISE = 0.1
-# frames over which noise is held, as a hand that is a little off
-NOISE_FRAMES = 10
+# of the steering that it wants, how much it is off, and how little is not worth a key
+STEERING_NOISE, DEAD_ZONE = 0.02, 0.15
+# frames between two looks at the road
+REACTION = 4
 FILE = 'demonstrations.safetensors'
 PLAIN, SHOWN = 'plain', 'demonstrations'
 
@@ -47,14 +51,16 @@ def scripted_laps(laps: int, seed: int = DEMONSTRATED_SEED) -> Iterator[Transiti
     random = np.random.default_rng(seed)
     for _ in range(laps):
         frame = drive.begin()
-        driver, number, noise = Driver(drive.simulator.env, 'lap'), 0, 0.0
+        driver, keys = Driver(drive.simulator.env, 'lap'), HeldKeys(RaceSettings())
         while not frame.step.ended:
             before = frame
-            if number % NOISE_FRAMES == 0:
-                noise = random.normal(0.0, STEERING_NOISE)
-            number += 1
-            steer, gas, brake = map(float, driver.act())
-            command = command_of(float(np.clip(steer + noise, -1.0, 1.0)), gas, brake)
+            if drive.decision % REACTION == 0:
+                steer, gas, brake = driver.act()
+                steer += random.normal(0.0, STEERING_NOISE)
+                for key, wanted in ((UP, gas > 0), (DOWN, brake > 0), (LEFT, steer < -DEAD_ZONE),
+                                    (RIGHT, steer > DEAD_ZONE)):
+                    (keys.press if wanted else keys.release)(key)
+            command = keys.command(before.stamp / NANOSECONDS)
             frame = drive.advance(command, before.stamp)
             yield Transition(before.stamp, frame.stamp, before.pixels, frame.pixels, command,
                              frame.step, before.step)
