@@ -12,7 +12,9 @@ from carracing_dqn.bringup.command import main as carracing
 from carracing_dqn.evaluation.figures import draw, FIGURES, NothingToShow
 from carracing_dqn.evaluation.records import load_run, Run
 from carracing_dqn.evaluation.report_command import _compare_with_record
-from carracing_dqn.evaluation.report_page import make_pictures, markdown, Picture, render
+from carracing_dqn.evaluation.report_page import (
+    headlines, make_pictures, markdown, Picture, render,
+)
 from carracing_dqn.evaluation.results import read_json
 from evaluation_cases import lap, write_run
 from msgs_bridge.share import share_path
@@ -116,6 +118,16 @@ def test_a_missing_column_leaves_the_others(tmp_path, missing):
     assert any(missing in problem for problem in run.problems)
     assert len(drawn(run)) >= len(FIGURES) - 1
     assert f'has no column {missing}' in page_of(run)
+
+
+def test_a_page_without_test_laps_says_so_once_and_how_good_training_was(tmp_path):
+    run = load_run(write_run(tmp_path / 'run', CURVE, validations=()))
+    table = page_of(run).split('beside ours')[1]
+    assert table.count('no laps of the trained agent') == 1
+    assert table.count('>–</td>') > 10
+    assert headlines(run)[0][1] == 'training, moving average at the end'
+    run = load_run(write_run(tmp_path / 'other', CURVE, validations=VALIDATIONS))
+    assert headlines(run)[0][:2] == ('850.00', 'best validation')
 
 
 def test_a_run_without_anything_has_nothing_to_show(tmp_path):

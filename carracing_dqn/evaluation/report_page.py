@@ -22,6 +22,9 @@ import jinja2
 from matplotlib.figure import Figure
 
 TEMPLATE = 'report.html.j2'
+# what the first card of the page says: the first of these that was measured
+HOW_GOOD = (('test_mean', 'mean return'), ('validation_maximum', 'best validation'),
+            ('train_average_last', 'training, moving average at the end'))
 # what so many rows of a table would say is said once below it
 SAID_ONCE = 3
 
@@ -110,8 +113,7 @@ def headlines(run: Run) -> list[tuple[str, str, str]]:
     measured = {figure.key: value for figure, value in compare(run)}
     rows: list[tuple[str, str, str]] = []
     for key, label in () if not run.in_carracing else (
-        ('test_mean', 'mean return') if run.evaluation is not None
-        else ('validation_maximum', 'best validation'),
+        next((pair for pair in HOW_GOOD if measured[pair[0]].value is not None), HOW_GOOD[0]),
         ('test_completed', 'laps finished'),
         ('test_900', 'laps of 900 or more'), ('hours', 'training time'),
     ):
