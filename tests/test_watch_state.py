@@ -4,6 +4,7 @@
 import json
 
 from bag_cases import bundle, image, serialized, stamp_of, TYPES, twist
+from carracing_dqn.watch import painting
 from carracing_dqn.watch.car import MAX_SMALL_BYTES
 from carracing_dqn.watch.graph_parts import End, Misfit, RATE_SECONDS, Topic, TopicEnds
 from carracing_dqn.watch.series import KEPT_SECONDS, MAX_NAMES, SeriesTable
@@ -90,6 +91,20 @@ def drive(state, *, frames=30, period=FRAME, red=(122, 55, 55), told=0.3, applie
 
 def kinds(state, now):
     return [cause['kind'] for cause in state.snapshot(now)['causes']]
+
+
+def test_of_an_action_along_two_axes_both_nodes_are_marked():
+    state = WatchState('test')
+    now = drive(state)
+    stamp = round(state.snapshot(now)['picture']['stamp'] * 1e9)
+    for second, marked in ((2, (0, 2)), (-1, (0,))):
+        values = {'linear -1': 1.0, 'linear 1': 2.0, 'angular -1': 3.0, 'chosen': 0,
+                  'chosen_second': second, 'explored': 0, 'weights_version': 7}
+        state.take('/q_values', Q_VALUES.type_name, bundle(stamp, values), now, 99)
+        state.look(now)
+        shown = state.snapshot(now)
+        assert shown['drive']['chosen'] == marked
+        assert painting.drive(shown).plain.count('▶') == len(marked)
 
 
 def test_a_car_that_drives_well_is_shown_whole_and_nothing_is_wrong():
