@@ -13,6 +13,7 @@ from rich.console import Console
 from bags.errors import BagError
 from bags.reader import BagReader
 from bags.settings import PlayerSettings, RecorderSettings
+from bags.watched_reader import WatchedReader
 from msgs_bridge.errors import BridgeError
 from msgs_bridge.plain_text import plain
 from msgs_bridge.settings import describe, parse_text
@@ -99,7 +100,7 @@ def _info(arguments: argparse.Namespace) -> int:
 
 def _verify(arguments: argparse.Namespace) -> int:
     from bags.verify import verify_bag
-    with BagReader(arguments.bag) as reader:
+    with WatchedReader(arguments.bag, 'checking files and transitions', 'driving again') as reader:
         found = verify_bag(reader, namespace=arguments.namespace,
                            resimulate=not arguments.structure_only,
                            simulator=arguments.simulator)
@@ -148,7 +149,7 @@ def _export(arguments: argparse.Namespace) -> int:
     from bags.export import export_csv, export_video
     if not arguments.video and not arguments.csv:
         raise BagError('nothing to export; give --video FILE, --csv FILE or both')
-    with BagReader(arguments.bag) as reader:
+    with WatchedReader(arguments.bag, 'looking for frames', 'exporting') as reader:
         choice = {'namespace': arguments.namespace, 'episode': arguments.episode}
         if arguments.csv:
             rows = export_csv(reader, arguments.csv, **choice)

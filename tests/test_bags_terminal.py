@@ -131,6 +131,20 @@ def test_a_player_that_is_quit_gives_the_terminal_back(terminal, tmp_path):
     assert player.process.wait(10) == 0 and player.given_back
 
 
+def test_what_is_done_with_a_long_bag_is_shown_and_leaves_an_empty_line(terminal, tmp_path):
+    bag = record_drive(tmp_path / 'bag', episodes=2, decisions=1000)
+    command = [sys.executable, '-m', 'carracing_dqn.bringup', 'bag', 'verify', str(bag)]
+    verify = terminal(command)
+    verify.until('checking files and transitions')
+    verify.until(r'driving again: \d+%')
+    said = verify.until(r'\x1b\[K([^\r]*)\r\n', 60).group(1)
+    assert said.startswith('transitions: ')
+    assert verify.process.wait(20) == 0
+    # and nothing but the result where nobody looks
+    piped = subprocess.run(command, capture_output=True, text=True, timeout=100)
+    assert piped.stderr == '' and piped.stdout.startswith('transitions: ')
+
+
 def test_what_a_recorder_has_stands_in_one_line(terminal, tmp_path):
     recorder = terminal(node_command(
         'bags.recorder_node', {'folder': str(tmp_path / 'bag'), 'topics': 'none_there'}, 'line'))

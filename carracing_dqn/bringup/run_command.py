@@ -16,11 +16,15 @@ from carracing_dqn.bringup.supervise import check_machine, refuse_second_simulat
 from carracing_dqn.simulation.profiles import profile_of, seen_from
 from carracing_dqn.simulation.registry import CARRACING, frame_seconds
 from msgs_bridge.errors import BridgeError
+from msgs_bridge.plain_text import plain
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
-TABLE_FRAME = 8
+TABLE_FRAME = 9
 """Lines of the terminal that are no laps: title, header, frame, sum, prompt."""
+# of what the simulator says before it drives
+WIDTH = 80
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -102,11 +106,12 @@ def _graph(arguments: argparse.Namespace, model: str, repeat: int, folder: Path)
 def laps_table(state: GraphState, rows: int) -> Table:
     """Return the newest laps as a table that fits into some rows."""
     rate = state.value(SIMULATOR.name, 'decisions_per_second', 0.0)
-    title = f'{rate:.0f} decisions a second'
+    title = (f'{rate:.0f} decisions a second' if rate or state.ended
+             else state.summary(SIMULATOR.name))
     laps = list(state.episodes)[-max(1, rows - TABLE_FRAME):]
     if state.ended > len(laps):
         title += f'; the last of {state.ended} laps, mean return {state.mean_return:.1f}'
-    table = Table(title=title)
+    table = Table(title=Text(plain(title, WIDTH)))
     for column in ('track', 'return', 'frames', 'tiles', 'end'):
         table.add_column(column, justify='right')
     for lap in laps:
