@@ -6,7 +6,7 @@ VENV := .venv
 INSTALLED := $(VENV)/.installed
 CARRACING := $(VENV)/bin/carracing
 
-.PHONY: setup run train test test-all faults lint clean
+.PHONY: setup run train test test-all faults docs lint clean
 
 setup: $(INSTALLED)
 
@@ -32,6 +32,12 @@ faults: MINUTES = 60
 faults: SEED = 1
 faults: setup
 	PYTHONPATH=tests $(VENV)/bin/python -m faults --minutes $(MINUTES) --seed $(SEED) $(ARGS)
+
+# the pages as a site, below build/docs; every warning is an error
+docs: setup
+	$(VENV)/bin/python -m pip install --quiet --constraint constraints.txt --editable '.[docs]'
+	$(VENV)/bin/python -m sphinx -W --keep-going -q -c docs . build/docs
+	@echo build/docs/index.html
 
 lint: setup
 	$(VENV)/bin/ruff check .

@@ -89,6 +89,8 @@ setup(
         'tensorboard': ['tensorboard'],
         # `carracing study` with the sampler tpe
         'search': ['optuna'],
+        # `make docs`
+        'docs': ['furo', 'myst-parser', 'sphinx'],
         # simulators that others wrote
         'highway': ['highway-env'],
         'mujoco': ['mujoco'],

@@ -48,7 +48,7 @@ def _head(name: str, run: Run) -> Iterator[str]:
         '---', f'license: {LICENSE.lower()}', 'library_name: carracing_dqn',
         'pipeline_tag: reinforcement-learning',
         f'tags: [deep-reinforcement-learning, dqn, ros2, {run.simulator}]', '---',
-        f'# {name}', '',
+        f'# Model {name}', '',
         '<!-- made by `python -m carracing_dqn.evaluation.model_card`; not to be edited -->', '',
         'A DQN policy that drives by the picture alone. It learned in '
         f'`{run.simulator}`: {about}.', '')
