@@ -76,6 +76,22 @@ def test_a_trainer_names_what_is_missing_and_learns_from_any_simulator(graph):
     assert state['decisions'] >= before + 40 and state['updates'] > 0
 
 
+@pytest.mark.parametrize('graph', [
+    {'run_minutes': 2.0, 'epsilon_schedule': 'decisions', 'epsilon_decisions': 10**8}],
+    indirect=True)
+def test_a_machine_that_is_too_slow_is_told_in_diagnostics_and_once_in_the_log(graph):
+    stranger = Stranger(graph)
+    stranger.image, stranger.step, stranger.twist = map(
+        graph.publisher, (topics.IMAGE, topics.STEP, topics.CMD_VEL))
+    stranger.drive_until(says(graph, 'too slow for this recipe: at '), 100, 'the pace',
+                         command=DUMMY_SPACE.commands[1])
+    assert float(graph.health('trainer_node')['epsilon_at_end']) > 0.9
+    stranger.drive_until(lambda: learned(graph) % 7 == 0, 20, 'a little more',
+                         command=DUMMY_SPACE.commands[1])
+    log = graph.children['trainer'].log.read_text()
+    assert log.count('WARN') == log.count('too slow for this recipe') == 1
+
+
 @pytest.mark.parametrize('graph', [{'samples_per_transition': 1000.0}], indirect=True)
 def test_a_trainer_that_is_stopped_saves_and_does_not_learn_what_waits(graph):
     stranger = Stranger(graph)

@@ -2,7 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The order in which a run is driven: weights out, validations in, checkpoints, the end."""
 import dataclasses
+import subprocess
+import sys
 
+from carracing_dqn.bringup.training_display import model_score
 from dqn_policy_node.model_folder import load_model
 from dqn_policy_node.weights_message import decode_weights
 from learning_cases import create, rows, stream, validation
@@ -155,3 +158,22 @@ def test_a_run_that_was_stopped_goes_on_and_one_that_ended_has_a_model(tmp_path)
     assert torch.equal(
         later.learning.learner.acting_tensors()['hidden.weight'],
         driver.training.learning.learner.acting_tensors()['hidden.weight'])
+
+
+def test_both_models_of_a_run_say_what_validation_said_of_them_without_torch(tmp_path):
+    for answered, score in ((True, ' (validation '), (False, ' (not validated)')):
+        graph = Graph(at_once=answered)
+        driver = graph.driver(create(tmp_path / str(answered), validation_every_episodes=0),
+                              last_validation_seconds=0.001)
+        feed(driver, stream(30))
+        driver.end()
+        while driver.turn():
+            pass
+        assert model_score(driver.close()).startswith(score)
+        assert graph.warned == ([] if answered else [
+            'no validation of the last weights came in time'])
+    assert model_score(tmp_path) == ' (not validated)'
+    code = ('import sys; from carracing_dqn.bringup.training_display import model_score; '
+            f'print(model_score({str(tmp_path / "True" / "final")!r}), "torch" in sys.modules)')
+    said = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True)
+    assert said.stdout.startswith(' (validation ') and said.stdout.endswith(') False\n'), said
