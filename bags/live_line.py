@@ -25,7 +25,11 @@ class LiveLine:
         if not self.there:
             return
         with contextlib.suppress(OSError):
-            width = os.get_terminal_size(sys.stderr.fileno()).columns
+            file = sys.stderr.fileno()
+            # one in the background would write over what a person types
+            if os.tcgetpgrp(file) != os.getpgrp():
+                return
+            width = os.get_terminal_size(file).columns
             # the cursor stands at the start of the line, where the next log line begins
             sys.stderr.write(f'\r{plain(text, max(width - 1, 1))}{ERASE}\r')
             sys.stderr.flush()
