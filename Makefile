@@ -10,7 +10,7 @@ CARRACING := $(VENV)/bin/carracing
 
 setup: $(INSTALLED)
 
-$(INSTALLED): setup.py setup.cfg constraints.txt .ci/setup carracing_dqn/bringup/environment.py
+$(INSTALLED): setup.py setup.cfg package.xml constraints.txt .ci/setup carracing_dqn/bringup/environment.py
 	@bash .ci/setup '$(PYTHON)' '$(VENV)' '$(TORCH)'
 	@touch $@
 
@@ -35,8 +35,8 @@ faults: setup
 
 # the pages as a site, below build/docs; every warning is an error
 docs: setup
-	$(VENV)/bin/python -m pip install --quiet --constraint constraints.txt --editable '.[docs]'
-	$(VENV)/bin/python -m sphinx -W --keep-going -q -c docs . build/docs
+	@$(VENV)/bin/python -m pip install --quiet --constraint constraints.txt --editable '.[docs]'
+	@$(VENV)/bin/python -m sphinx -W --keep-going -q -c docs . build/docs
 	@echo build/docs/index.html
 
 lint: setup
