@@ -137,21 +137,20 @@ def collect(
     replay = make_replay(settings, MOST_OBSERVATIONS)
     counts: Counter[str] = Counter()
     returns, distances = [], []
-    segment_end, segment = None, None
+    segment_end = None
     for decision in as_decisions(transitions, description.stack_seconds):
         try:
             reward = shaping.reward(decision)
             after = preprocess(decision.next_frame)
-            if decision.stamp != segment_end:
-                segment = preprocess(decision.frame)
+            first = preprocess(decision.frame) if decision.stamp != segment_end else None
         except MessageError:
             counts['left_out'] += 1
             segment_end = None
             continue
         if replay.written + 2 > MOST_OBSERVATIONS:
             raise LearningError(f'more than {MOST_OBSERVATIONS} observations of demonstrations')
-        if decision.stamp != segment_end:
-            replay.start(segment)
+        if first is not None:
+            replay.start(first)
         action, distance = nearest(space, decision.command)
         distances.append(distance)
         replay.add(action, reward, after, terminated=shaping.terminated(decision))

@@ -138,7 +138,7 @@ class Driver:
             for _ in range(PRETRAINED_AT_ONCE):
                 if training.pretraining:
                     training.pretrain()
-            self.status = training.status()
+            self._take_figures()
         if training.checkpoint_due():
             self._save()
         if training.weights_due():

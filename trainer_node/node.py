@@ -40,7 +40,7 @@ from std_srvs.srv import Trigger
 from trainer_node.car import Car
 from trainer_node.driver import Driver
 from trainer_node.open_run import open_training, read_overrides, run_settings
-from trainer_node.settings import LEARNING, TrainerSettings, VALIDATING
+from trainer_node.settings import LEARNING, PRETRAINING, TrainerSettings, VALIDATING
 from trainer_node.sources import MOST, SourceNames, Sources
 
 # how often cars are looked for in the graph
@@ -214,7 +214,9 @@ class TrainerNode(NodeShell):
         problem = self._problem() or self._pace()
         if problem:
             return DiagnosticStatus.WARN, problem, values
-        return DiagnosticStatus.OK, VALIDATING if self._driver.ended else LEARNING, values
+        doing = (VALIDATING if self._driver.ended
+                 else PRETRAINING if self._driver.pretraining else LEARNING)
+        return DiagnosticStatus.OK, doing, values
 
     def _pace(self) -> str:
         """Return that the run ends too soon, '' if it does not; the log has it once."""

@@ -11,6 +11,7 @@ from msgs_bridge.settings import setting
 
 # what the diagnostics say when nothing is missing
 LEARNING, VALIDATING = 'learning', 'validating the last weights'
+PRETRAINING = 'learning from demonstrations'
 
 
 @dataclasses.dataclass(frozen=True)

@@ -3,11 +3,12 @@
 """
 `carracing bench demonstrations`: how much driving demonstrated laps save.
 
-A scripted driver stands in for a person: it follows the middle of the road, looking at the true
-track twelve times a second and not quite rightly, and presses the keys of `carracing race`. It is
-recorded at 50 frames a second as a person is. The same recipe
-learns with its laps and without them, in one process, counted in decisions so that a busy machine
-changes nothing; every so many decisions the greedy policy drives the same validation tracks.
+A scripted driver stands in for a person with a joystick: it follows the middle of the road,
+looking at the true track twelve times a second and steering not quite as it wants. It is recorded
+at 50 frames a second as a person is. The recipe `racing`, with continuous actions, which hold what
+a joystick says, learns with its laps and without them; with them it explores little, as it need
+not find out what a lap is. Both run in one process and are counted in decisions, so that a busy
+machine changes nothing; every so many of them the greedy policy drives the same validation tracks.
 What is in the output folder is gone on with.
 """
 from __future__ import annotations
@@ -26,10 +27,9 @@ from carracing_dqn.evaluation.tables import read_table
 from carracing_dqn.evaluation.validator import validate_weights
 from carracing_dqn.simulation import open_drive
 from carracing_dqn.studies.one_process import learn
-from carracing_dqn.teleop.hand import DOWN, HeldKeys, LEFT, RIGHT, UP
-from carracing_dqn.teleop.settings import RaceSettings
-from msgs_bridge.stamps import NANOSECONDS
+from carracing_sim_node.controls import command_of
 from msgs_bridge.transitions import Transition
+from msgs_bridge.twists import STOP
 from trainer_node.demonstrations import collect, read_demonstrations, Summary
 from trainer_node.hyperparameters import Hyperparameters
 from trainer_node.open_run import open_training, read_overrides, run_settings
@@ -37,10 +37,12 @@ from trainer_node.run_folder import RunFolder
 
 # beyond the tracks of tests and of the figures in docs/learning.md
 DEMONSTRATED_SEED = 900_000
-# of the steering that it wants, how much it is off, and how little is not worth a key
-STEERING_NOISE, DEAD_ZONE = 0.02, 0.15
+STEERING_NOISE = 0.1
 # frames between two looks at the road
 REACTION = 4
+ACTIONS = 'action_space=continuous'
+# with demonstrations
+EPSILON = 0.1
 FILE = 'demonstrations.safetensors'
 PLAIN, SHOWN = 'plain', 'demonstrations'
 
@@ -51,16 +53,13 @@ def scripted_laps(laps: int, seed: int = DEMONSTRATED_SEED) -> Iterator[Transiti
     random = np.random.default_rng(seed)
     for _ in range(laps):
         frame = drive.begin()
-        driver, keys = Driver(drive.simulator.env, 'lap'), HeldKeys(RaceSettings())
+        driver, command = Driver(drive.simulator.env, 'lap'), STOP
         while not frame.step.ended:
             before = frame
             if drive.decision % REACTION == 0:
-                steer, gas, brake = driver.act()
-                steer += random.normal(0.0, STEERING_NOISE)
-                for key, wanted in ((UP, gas > 0), (DOWN, brake > 0), (LEFT, steer < -DEAD_ZONE),
-                                    (RIGHT, steer > DEAD_ZONE)):
-                    (keys.press if wanted else keys.release)(key)
-            command = keys.command(before.stamp / NANOSECONDS)
+                steer, gas, brake = map(float, driver.act())
+                steer += float(random.normal(0.0, STEERING_NOISE))
+                command = command_of(steer, gas, brake).clamped()
             frame = drive.advance(command, before.stamp)
             yield Transition(before.stamp, frame.stamp, before.pixels, frame.pixels, command,
                              frame.step, before.step)
@@ -129,10 +128,11 @@ def main(argv: list[str] | None = None) -> int:
                 f'seed={seed}', f'run_decisions={args.decisions}', 'run_minutes=0',
                 'validation_every_minutes=0', f'validation_every_decisions={args.every}',
                 f'validation_tracks={args.tracks}', 'learning_rate_schedule=constant',
-                'checkpoint_every_minutes=0.5']), **read_overrides(args.set)}
+                'checkpoint_every_minutes=0.5', ACTIONS]), **read_overrides(args.set)}
             if arm == SHOWN:
                 # seen from the run folder
-                overrides['demonstrations'] = f'../{FILE}'
+                overrides = {
+                    'epsilon_start': EPSILON, **overrides, 'demonstrations': f'../{FILE}'}
             settings = run_settings(folder, 'racing', overrides, resume=False)
             summary = show(args.output / FILE, settings, args.laps) if arm == SHOWN else None
             train(folder, settings)

@@ -18,7 +18,7 @@ from msgs_bridge.plain_text import plain
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
-from trainer_node.settings import LEARNING, VALIDATING
+from trainer_node.settings import LEARNING, PRETRAINING, VALIDATING
 
 LIVE_VALUES = (
     ('return, last episode', 'last_return', '.1f'),
@@ -40,7 +40,7 @@ LIVE_VALUES = (
 """Label, name in the trainer's diagnostics and format of what the display shows."""
 
 # what a trainer says that lacks nothing
-WELL = ('starting', LEARNING, VALIDATING)
+WELL = ('starting', LEARNING, PRETRAINING, VALIDATING)
 SHOWN_VALIDATIONS = 3
 WIDTH = 80
 # of what the trainer says, so that it stays in two lines
