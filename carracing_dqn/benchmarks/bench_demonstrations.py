@@ -31,7 +31,7 @@ from carracing_sim_node.controls import command_of
 from msgs_bridge.transitions import Transition
 from msgs_bridge.twists import STOP
 from trainer_node.demonstrations import collect, read_demonstrations, Summary
-from trainer_node.hyperparameters import Hyperparameters
+from trainer_node.hyperparameters import Hyperparameters, load_preset
 from trainer_node.open_run import open_training, read_overrides, run_settings
 from trainer_node.run_folder import RunFolder
 
@@ -78,7 +78,9 @@ def show(path: Path, settings: Hyperparameters, laps: int) -> Summary:
 def train(folder: Path, settings: Hyperparameters) -> None:
     """Drive one run to its end, or go on with it."""
     run = RunFolder(folder)
-    if run.read_record().get('complete') is True:
+    # one that is to be longer goes on
+    if (run.read_record().get('complete') is True
+            and load_preset(run.config).run_decisions == settings.run_decisions):
         return
     training = open_training(folder, settings, resume=run.checkpoint.is_file(), device='cpu')
     if not training.decisions:
