@@ -137,9 +137,11 @@ def test_a_high_ratio_gives_several_updates_for_one_transition():
     assert updates_of(ReplayRatioLimiter(24.0, 8, 1), 2) == [0, 3]
 
 
-def test_the_defaults_are_the_report():
+def test_the_defaults_are_the_report_but_for_readings_that_its_curve_chose():
     own = load_preset('report')
-    assert dataclasses.replace(own, weights_every=100) == Hyperparameters()
+    assert dataclasses.replace(
+        own, weights_every=100, action_repeat=1, samples_per_transition=8.0, loss='l1',
+    ) == Hyperparameters()
     assert (own.gamma, own.batch_size, own.replay_capacity) == (0.99, 32, 100_000)
 
 
@@ -155,7 +157,8 @@ def test_the_report_preset_names_every_number_that_it_could_change():
     values = yaml.safe_load(share_path('config/report.yaml').read_text())
     unused = {'learning_rate_hold', 'epsilon_decisions', 'standing_growth', 'standing_limit',
               'tile_missed_limit', 'early_end_terminal', 'quantiles', 'tuner_step', 'tuner_least',
-              'epsilon_spread'}
+              'epsilon_spread', 'demonstrations', 'demonstration_weight', 'demonstration_margin',
+              'demonstration_updates', 'demonstration_share'}
     assert set(describe(Hyperparameters)) - set(values) == unused
 
 
