@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A model as ONNX answers in onnxruntime what it answers here."""
 import json
+from pathlib import Path
 import subprocess
 import sys
 
@@ -75,6 +76,11 @@ def test_every_shipped_model_answers_alike_on_random_and_on_real_frames(name, dr
     check(model, np.stack(stacks)[:, :, ::shrink, ::shrink])
 
 
+def test_the_tolerance_is_the_one_that_the_page_states():
+    page = (Path(__file__).resolve().parents[1] / 'docs' / 'how_to.md').read_text()
+    assert f'within {TOLERANCE:.0e}'.replace('e-0', 'e-') in page
+
+
 @pytest.mark.parametrize('space', ACTION_SPACES.values(), ids=ACTION_SPACES)
 @pytest.mark.parametrize(('network', 'preprocessing'), [
     (Network(parse_convolutions('4@6/3 8@3/2'), 16, True, 0.2),
@@ -111,8 +117,9 @@ def test_gray_and_road_are_whole_numbers_equal_to_the_bit():
 def test_the_file_says_what_who_runs_it_has_to_know(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert main(['export', 'racing', '--onnx', 'lap.onnx']) == 0
-    assert 'wrote lap.onnx: frames uint8 (N, 4, 96, 96, 3), 0.08 s apart' in (
-        capsys.readouterr().out)
+    said = capsys.readouterr().out.splitlines()
+    assert said[1] == 'in   frames    uint8 (N, 4, 96, 96, 3), oldest first, 0.08 s apart'
+    assert len(said) == 4 and max(map(len, said)) <= 80
     alone = (
         'import sys; sys.modules.update(torch=None, dqn_policy_node=None)\n'
         'import json, numpy, onnxruntime\n'

@@ -38,8 +38,13 @@ def main(arguments: argparse.Namespace) -> int:
     except OSError as error:
         raise BridgeError(f'{arguments.onnx} cannot be written: {error.strerror}') from None
     told, own = metadata(model.description, source.name), model.description.preprocessing
-    say(Console(), f'wrote {arguments.onnx}: frames uint8 (N, {told["frame_stack"]}, '
-                   f'{own.frame_height}, {own.frame_width}, 3), {told["stack_seconds"]} s apart '
-                   f'-> q_values float32 (N, {len(model.description.action_space)}), command '
-                   f'float64 (N, 2), held for {told["action_seconds"]} s')
+    console = Console()
+    for line in (
+        f'wrote {arguments.onnx}',
+        f'in   frames    uint8 (N, {told["frame_stack"]}, {own.frame_height}, {own.frame_width}, '
+        f'3), oldest first, {told["stack_seconds"]} s apart',
+        f'out  q_values  float32 (N, {len(model.description.action_space)})',
+        f'out  command   float64 (N, 2), held for {told["action_seconds"]} s',
+    ):
+        say(console, line)
     return 0
