@@ -21,7 +21,7 @@ from carracing_dqn.bringup.provenance import with_provenance
 from carracing_dqn.bringup.recipe import pairs_of_model, pairs_of_simulator
 from carracing_dqn.bringup.run_folders import default_folder, new_folder
 from carracing_dqn.bringup.supervise import check_machine, refuse_second_simulator, run_to_the_end
-from carracing_dqn.bringup.training_display import model_score, training_line, training_table
+from carracing_dqn.bringup.training_display import model_lines, training_line, training_table
 from carracing_dqn.simulation import find_simulator
 from carracing_dqn.simulation.profiles import found_from, profile_of
 from carracing_dqn.studies.simulator_settings import choose_preset, PRESET, SIMULATOR_PRESET
@@ -131,10 +131,8 @@ def main(arguments: argparse.Namespace) -> int:
         raise BridgeError(f'{error}{_what_next(folder, "; ")}') from None
     finally:
         monitor.close()
-    run = RunFolder(folder)
-    for name, path in (('best', run.best), ('final', run.final)):
-        if path.is_dir():
-            display.say(f'{name} model: {path}{model_score(path)}')
+    for line in model_lines(folder):
+        display.say(line)
     if interrupted:
         display.say(_what_next(folder) or 'nothing was learned yet')
     return 130 if interrupted else 0

@@ -12,6 +12,7 @@ from typing import Any
 from bags.topic_lookup import need_topic
 from bags.reader import BagReader
 from bags.transitions import bag_transitions
+from carracing_dqn.bringup.training_display import model_lines
 from carracing_dqn.evaluation.validator import validate_weights
 from carracing_dqn.simulation.profiles import found_from
 from msgs_bridge.errors import BridgeError, SettingsError
@@ -22,6 +23,8 @@ from trainer_node.open_run import open_training, run_settings
 from trainer_node.training import Training
 
 LINE_SECONDS = 5.0
+# share of a run from which on its pace tells when it ends
+SOON = 0.02
 
 
 def learn_from_bags(
@@ -79,6 +82,8 @@ def learn_from_bags(
         say(status_line(training))
         if not training.failed:
             say(f'saved {driver.close()}')
+            for line in model_lines(folder):
+                say(line)
     return 0
 
 
@@ -121,5 +126,8 @@ def status_line(training: Training) -> str:
     foreign = status['foreign_actions']
     # most of what a person or another model drives is none of a few actions
     hint = '; --demonstrations takes the nearest' if foreign > status['decisions'] else ''
-    return (f'{training.progress:.0%} done, {status["decisions"]} transitions, '
+    progress = training.progress
+    left = (f', about {training.wall_seconds / 60 * (1 / progress - 1):.1f} min left'
+            if SOON < progress < 1 else '')
+    return (f'{progress:.0%} done{left}, {status["decisions"]} transitions, '
             f'{status["updates"]} updates, {foreign} actions that are not in the set{hint}')

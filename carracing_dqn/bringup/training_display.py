@@ -18,6 +18,7 @@ from msgs_bridge.plain_text import plain
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
+from trainer_node.run_folder import RunFolder
 from trainer_node.settings import LEARNING, PRETRAINING, VALIDATING
 
 LIVE_VALUES = (
@@ -136,6 +137,14 @@ def training_line(state: GraphState) -> str:
         result = state.validations[-1]
         line += f'; validation {result["mean"]:.1f} ± {result["std"]:.1f}'
     return line
+
+
+def model_lines(folder: Path) -> Iterator[str]:
+    """Yield a line for each model that a run has left in its folder."""
+    run = RunFolder(folder)
+    for name, path in (('best', run.best), ('final', run.final)):
+        if path.is_dir():
+            yield f'{name} model: {path}{model_score(path)}'
 
 
 def model_score(folder: Path) -> str:
