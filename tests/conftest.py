@@ -33,6 +33,21 @@ def graph(tmp_path):
 
 
 @pytest.fixture
+def terminal():
+    """Start commands, each at a terminal of its own."""
+    from terminal_probe import Terminal
+    made = []
+
+    def start(command):
+        made.append(Terminal(command))
+        return made[-1]
+
+    yield start
+    for one in made:
+        one.close()
+
+
+@pytest.fixture
 def own_domain(monkeypatch):
     """Keep nodes of the tests before, which may have been killed, from being met in this one."""
     monkeypatch.setenv('ROS_DOMAIN_ID', str(102 + (os.getpid() + next(_numbers)) % 100))

@@ -1,26 +1,17 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
 """Recorder and player at a real terminal: what they show, keys, and the terminal given back."""
-import contextlib
-import fcntl
-import os
-import pty
-import re
 import signal
-import struct
 import subprocess
 import sys
-import termios
 import time
 
 from bag_cases import record_drive
 from bags.live_line import clock_text
 from bags.recorder_terminal import recorded_text, waits_for
 from carracing_dqn.bringup.processes import node_command
-from graph_probe import wait_for
 import pytest
-
-WIDTH = 80
+from terminal_probe import WIDTH
 
 
 def test_times_and_sizes_are_short():
@@ -42,61 +33,6 @@ def test_times_and_sizes_are_short():
 def test_a_recorder_says_what_it_waits_for(wanted, came, published, told):
     text = waits_for(wanted, came, published, '7')
     assert told in text and (told or not text)
-
-
-class Terminal:
-    """A process at a terminal of 80x24 of its own, and what it has shown there."""
-
-    def __init__(self, command):
-        self.ours, self._theirs = pty.openpty()
-        fcntl.ioctl(self._theirs, termios.TIOCSWINSZ, struct.pack('HHHH', 24, WIDTH, 0, 0))
-        self.before = termios.tcgetattr(self._theirs)
-        self.process = subprocess.Popen(
-            command, stdin=self._theirs, stdout=self._theirs, stderr=self._theirs,
-            start_new_session=True, env={**os.environ, 'PYTHONUTF8': '1'},
-            preexec_fn=lambda: fcntl.ioctl(self._theirs, termios.TIOCSCTTY, 0))
-        os.set_blocking(self.ours, False)
-        self.shown = ''
-
-    def shows(self, pattern):
-        """Return whether a line has shown what matches since the last time it was asked."""
-        with contextlib.suppress(BlockingIOError):
-            self.shown += os.read(self.ours, 65536).decode('utf-8', 'replace')
-        found = list(re.finditer(pattern, self.shown))
-        if found:
-            self.shown = self.shown[found[-1].end():]
-        return found[-1] if found else None
-
-    def until(self, pattern, seconds=30):
-        found = []
-        wait_for(lambda: found.append(self.shows(pattern)) or found[-1], seconds, pattern)
-        return found[-1]
-
-    def type(self, keys):
-        os.write(self.ours, keys)
-
-    @property
-    def given_back(self):
-        return termios.tcgetattr(self._theirs)[3] == self.before[3]
-
-    def close(self):
-        self.process.kill()
-        self.process.wait()
-        os.close(self.ours)
-        os.close(self._theirs)
-
-
-@pytest.fixture
-def terminal(request):
-    made = []
-
-    def start(command):
-        made.append(Terminal(command))
-        return made[-1]
-
-    yield start
-    for one in made:
-        one.close()
 
 
 def test_a_bag_is_paused_wound_and_stepped_by_keys(terminal, tmp_path):

@@ -6,6 +6,7 @@ import os
 from pathlib import Path
 import signal
 import subprocess
+import sys
 import time
 
 from bags.cdr_time import first_time
@@ -175,6 +176,20 @@ def test_run_drives_laps_and_leaves_a_bag(tmp_path):
         folders = [str(folder).encode() for folder in (Path(__file__).parents[1], tmp_path)]
         assert not any(folder in bytes(message.data) for folder in folders
                        for message in reader.messages(list(reader.topics)))
+
+
+def test_a_drive_without_end_that_is_stopped_at_a_terminal_draws_its_laps(terminal, tmp_path):
+    drive = terminal([
+        sys.executable, '-m', 'carracing_dqn.bringup', 'run', '--model', 'random', '--laps', '0',
+        '--output', str(tmp_path / 'drive')])
+    # until it drives it says what it waits for
+    drive.until(r'starting|waiting for', 60)
+    drive.until(r' 420 ', 120)
+    drive.type(b'\x03')
+    drive.until('drawing the laps; Ctrl-C ends that, too', 60)
+    drive.until('picture: ', 60)
+    assert drive.process.wait(60) == 130
+    assert (tmp_path / 'drive' / 'pictures' / 'lap-420.png').is_file()
 
 
 @pytest.mark.parametrize('words, error', [
