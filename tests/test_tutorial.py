@@ -15,7 +15,7 @@ PAGE = (ROOT / 'docs' / 'tutorial.md').read_text(encoding='utf-8')
 BLOCKS = re.findall(r'^```(\w+)\n(.*?)^```$', PAGE, re.MULTILINE | re.DOTALL)
 SHELL = [line for kind, text in BLOCKS if kind == 'sh' for line in text.splitlines()]
 # the one thing that is not done as it is written
-FEWER_MINUTES = ('--minutes 10', '--minutes 0.2')
+FEWER_MINUTES = ('--minutes 10', '--minutes 0.1')
 # done already where the tests run; typing them again would ask a registry
 DONE = ('make setup', 'pip install onnxruntime')
 MARK = '==> '
