@@ -500,8 +500,9 @@ def test_a_recorder_that_is_stopped_without_its_bag_does_not_call_that_a_success
 
 def test_a_flood_of_large_images_is_bounded_and_counted(graph, tmp_path):
     recorder = start_recorder(graph, tmp_path / 'bag', cache_bytes=4 << 20)
+    graph.listen(topics.DIAGNOSTICS)
     camera, steps = graph.publisher(topics.IMAGE), graph.publisher(topics.STEP)
-    wait_for(lambda: camera.get_subscription_count() and steps.get_subscription_count(), 10,
+    wait_for(lambda: camera.get_subscription_count() and steps.get_subscription_count(), 60,
              'recorder')
     before = memory(recorder)
     # of 600 MB DDS would keep each byte
@@ -510,6 +511,9 @@ def test_a_flood_of_large_images_is_bounded_and_counted(graph, tmp_path):
     for _ in range(13):
         camera.publish(flood)
         most = max(most, memory(recorder) - before)
+    # a publisher that is gone sends nothing again
+    graph.spin_until(lambda: f'lost_/{graph.namespace}/image_raw' in graph.health(RECORDER[1]), 60,
+                     'losses that are counted')
     graph.probe.destroy_publisher(camera)
     for _ in range(50):
         steps.publish(JointState(name=['value'], position=[1.0]))
@@ -571,7 +575,8 @@ def test_a_player_offers_what_was_recorded_and_says_who_cannot_hear_it(graph, tm
     graph.spin(0.2)
     # of several publishers the strongest, so that a reliable subscriber of one hears it
     assert (len(heard['loose']), len(heard['both'])) == (0, 20)
-    assert sum('loose is not heard: QoS of' in line for line in said(player)) == 1
+    # once in ten seconds
+    assert 0 < sum('loose is not heard: QoS of' in line for line in said(player)) < 5
     last = said(player)[-1]
     assert f'nobody listened to {space}/loose, {space}/quiet' in last
 
