@@ -80,10 +80,13 @@ def _training(model: Model, run: Run) -> Iterator[str]:
     command, comma, more = (run.record.get('command') or (
         f'carracing train --simulator {run.simulator} --set seed={run.config["seed"]}')
     ).partition(', ')
+    where = (
+        'in one process without ROS, simulator, policy, trainer and validation by turns'
+        if command.startswith('carracing study') else
+        'through the ROS graph: simulator, policy, trainer and validation as processes')
     yield from (
         '## How it was trained', '',
-        f'From {run.config.get("initial_model") or "random weights"}, through the ROS graph: '
-        'simulator, policy, trainer and validation as processes.', '',
+        f'From {run.config.get("initial_model") or "random weights"}, {where}.', '',
         '| | |', '|---|---|',
         f'| command | `{command}`{comma}{more} |')
     settings = [f'{name} {value}' for name, value in profile_of(run.simulator).settings.items()
