@@ -5,6 +5,7 @@ import itertools
 import os
 import signal
 
+from carracing_dqn.benchmarks.process_cost import children_of
 from msgs_bridge.host_only import stay_on_this_host
 import pytest
 
@@ -14,6 +15,9 @@ os.environ['OMP_NUM_THREADS'] = '1'
 # what ignores it, as under nohup, hands that on to the nodes, which then go on when hung up
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
+# how a node of a test is started
+CHILD = 'carracing_dqn.bringup.child'
+
 _numbers = itertools.count()
 _first_domain = int(os.environ.get('ROS_DOMAIN_ID', os.getpid()))
 
@@ -22,6 +26,9 @@ _first_domain = int(os.environ.get('ROS_DOMAIN_ID', os.getpid()))
 def _domain_of_the_file():
     """Keep nodes of the files before, which may still be ending, from being met in this one."""
     os.environ['ROS_DOMAIN_ID'] = str(1 + (_first_domain + next(_numbers)) % 100)
+    yield
+    left = [line for line in children_of(os.getpid()).values() if CHILD in line]
+    assert not left, f'nodes that a test has left behind: {left}'
 
 
 @pytest.fixture

@@ -21,7 +21,8 @@ def environment(monkeypatch, tmp_path):
     monkeypatch.setattr('tempfile.tempdir', str(tmp_path / 'temporary'))
     (tmp_path / 'temporary').mkdir(mode=0o700)
     yield monkeypatch
-    monkeypatch.delenv('ROS_LOG_DIR', raising=False)
+    # monkeypatch would put back what the test has left there
+    os.environ.pop('ROS_LOG_DIR', None)
 
 
 def test_a_home_is_left_to_rcl(environment, tmp_path):

@@ -271,7 +271,6 @@ def test_parameters_that_are_not_accepted_end_the_node_with_one_line(graph, para
     child._reader.join(2)
     lines = [line for line in child.words if line.startswith('error: ')]
     assert len(lines) == 1 and words in lines[0]
-    graph.children.clear()
 
 
 def test_a_robot_that_has_never_heard_of_us_is_driven_by_remaps_and_parameters_alone(graph):
@@ -330,7 +329,6 @@ def test_parameters_of_the_policy_that_cannot_be_are_one_line(graph, parameters,
     child._reader.join(2)
     assert [line for line in child.words if line.startswith('error: ') and words in line]
     assert not any('Traceback' in line for line in child.words)
-    graph.children.clear()
 
 
 def test_a_missing_model_is_named(graph):
@@ -338,4 +336,3 @@ def test_a_missing_model_is_named(graph):
     assert child.process.wait(60) == 2
     child._reader.join(2)
     assert any("'no_such_model'" in line for line in child.words)
-    graph.children.clear()

@@ -342,7 +342,6 @@ def test_the_trainer_learns_from_what_the_referee_says(graph, mujoco, tmp_path):
                publish_path=True, wait_for_subscribers=2)
     graph.spin_until(lambda: trainer.process.poll() is not None, 90, 'the run ends')
     assert trainer.process.returncode == 0, list(trainer.words)
-    graph.children.pop('trainer_node')
     rows = (tmp_path / 'run' / 'episodes.csv').read_text().splitlines()
     assert len(rows) > 2 and (tmp_path / 'run' / 'final').is_dir()
     steps = [read_step(read_named_values(message)) for message in graph.messages['step']]

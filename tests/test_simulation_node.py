@@ -81,7 +81,6 @@ def test_a_toy_that_says_the_core_alone_is_driven_like_any_other(graph):
     graph.spin_until(lambda: len(graph.messages['episode']) == 6, 30, 'three episodes')
     graph.spin(0.3)
     assert ended(child) == (0, [])
-    graph.children.clear()
     joined, joiner = graph.join()
     drive = open_drive(values)
     frame = drive.begin()
@@ -116,7 +115,6 @@ def test_who_resets_the_last_episode_is_answered_before_the_node_ends(graph):
     answer = call(graph, 'reset')
     assert (answer.success, answer.message) == (True, 'all episodes are driven')
     assert ended(child) == (0, [])
-    graph.children.clear()
     graph.spin(0.2)
     told = [read_named_values(message) for message in graph.messages['episode']]
     assert [(one['episode'], one['decisions'], one['truncated']) for one in told] == [
@@ -203,7 +201,6 @@ def test_a_simulator_that_cannot_go_on_says_so_in_one_line(graph, act):
         answer = call(graph, 'reset')
         assert not answer.success and answer.message == 'the engine is gone'
     assert ended(child) == (2, ['error: the engine is gone'])
-    graph.children.clear()
 
 
 @pytest.mark.parametrize(('simulator', 'told'), [
@@ -211,7 +208,6 @@ def test_a_simulator_that_cannot_go_on_says_so_in_one_line(graph, act):
     ('toy_simulator:Toy', "unknown setting 'zoom'")])
 def test_a_simulator_that_is_not_there_ends_the_node_with_one_line(graph, simulator, told):
     code, errors = ended(graph.node(*SIM, simulator=simulator, zoom=False))
-    graph.children.clear()
     assert code == 2 and len(errors) == 1 and told in errors[0]
 
 
@@ -221,7 +217,6 @@ def test_passing_over_a_million_tracks_can_be_stopped(graph):
     graph.spin(0.2)
     child.signal(signal.SIGINT)
     assert child.process.wait(5) in (0, 130)
-    graph.children.clear()
 
 
 def test_a_flood_of_twists_is_counted_and_the_drive_goes_on(graph):
