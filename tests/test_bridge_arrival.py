@@ -3,6 +3,7 @@
 """Messages that wake a thread without an executor, over real DDS."""
 import dataclasses
 import platform
+import os
 import subprocess
 import sys
 import threading
@@ -115,6 +116,7 @@ done.set()
     said = subprocess.run(
         [sys.executable, '-c', code], capture_output=True, text=True, cwd=ROOT, check=True)
     policy, nice, runtime, other = map(int, said.stdout.split())
-    assert (policy, nice, other) == (0, 3, 3)
+    # 3 is SCHED_BATCH, and the tests themselves may have been started nicely
+    assert (policy, nice, other) == (0, min(os.nice(0) + 3, 19), 3)
     # older kernels keep no slice
     assert runtime in (0, 100_000)
