@@ -163,8 +163,9 @@ def _limits(run: Run, others: list[Run]) -> Iterator[str]:
     if not others:
         yield '- One training run: what another seed would have given is not known.'
     if not is_validation(run.record['seeds']['validation'], 1):
-        yield ('- It is older than the seeds of today: some of its validation tracks may have '
-               'been driven in training, no test track was (docs/learning.md, Seeds).')
+        yield ('- Its seeds are outside of the spaces that cannot meet: some of its validation '
+               'tracks may have been driven in training, no test track was (docs/learning.md, '
+               'Seeds).')
     if 'track' in (settings := profile_of(run.simulator).settings):
         yield f'- It learned on one track, `{settings["track"]}`, and was tested there.'
     if run.record.get('complete') is False:
