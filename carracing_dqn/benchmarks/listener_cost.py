@@ -20,6 +20,7 @@ import time
 from typing import Any
 
 from bags.reader import BagReader
+from carracing_dqn.benchmarks.process_cost import cost_of
 from msgs_bridge.before_rclpy import before_rclpy
 from msgs_bridge.topics import STEP
 
@@ -156,9 +157,7 @@ def _stop(process: subprocess.Popen) -> None:
 
 
 def _cpu_seconds(process: subprocess.Popen) -> float:
-    import psutil
-    times = psutil.Process(process.pid).cpu_times()
-    return times.user + times.system
+    return cost_of(process.pid).seconds
 
 
 def _missing(reader: BagReader) -> Counter[str]:
