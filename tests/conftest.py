@@ -1,6 +1,7 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
 """Every file of tests has a ROS domain of its own on this host, and one thread per library."""
+import contextlib
 import itertools
 import os
 import signal
@@ -31,7 +32,8 @@ def _domain_of_the_file():
     for pid, line in children_of(os.getpid()).items():
         if CHILD in line:
             warnings.warn(f'a test has left a node behind: {line}', stacklevel=1)
-            os.kill(pid, signal.SIGKILL)
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
 
 
 @pytest.fixture
