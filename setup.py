@@ -94,7 +94,7 @@ setup(
         # simulators that others wrote
         'highway': ['highway-env'],
         'mujoco': ['mujoco'],
-        'bench': ['envpool', 'mcap-ros2-support', 'psutil', 'stable-baselines3'],
+        'bench': ['envpool', 'mcap-ros2-support', 'stable-baselines3'],
     },
     zip_safe=True,
     entry_points={

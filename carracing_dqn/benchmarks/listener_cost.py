@@ -62,9 +62,9 @@ def listener_cost(
         for number in range(rounds):
             listener = begin(number)
             counter.rate(settle)
-            before = _cpu_seconds(listener)
+            before = cost_of(listener.pid).seconds
             rates['with'].append(counter.rate(seconds))
-            cpu.append((_cpu_seconds(listener) - before) / seconds)
+            cpu.append((cost_of(listener.pid).seconds - before) / seconds)
             _stop(listener)
             after(number)
             counter.rate(1.0)
@@ -154,10 +154,6 @@ def _stop(process: subprocess.Popen) -> None:
         process.wait(STOP_SECONDS)
     except subprocess.TimeoutExpired:
         process.kill()
-
-
-def _cpu_seconds(process: subprocess.Popen) -> float:
-    return cost_of(process.pid).seconds
 
 
 def _missing(reader: BagReader) -> Counter[str]:
