@@ -189,6 +189,18 @@ class _Lane:
             self._position.stamp = stamp - 1
 
 
+def missing_steps(before: Step, after: Step) -> int:
+    """
+    Return how many steps are known to be missing between two that came one after the other.
+
+    Of an episode whose end was not seen nothing says how long it was: these are not in it.
+    """
+    if before.episode != after.episode or after.decision == 0:
+        return after.decision
+    # a decision that goes back within its episode is no count, but nothing follows from it
+    return max(after.decision - before.decision - 1, 0 if after.decision > before.decision else 1)
+
+
 class TransitionJoiner:
     """
     Joins images, steps and twists of one car into transitions.
@@ -198,9 +210,10 @@ class TransitionJoiner:
 
     Attributes:
         counts: how many were `joined`, and why others were dropped: `duplicate` messages,
-            `unanswered` (no twist was applied), `lost_image`, `lost_twist`, `lost_step`,
-            `odd_step` (a stamp that nothing followed), `no_image` and `no_twist` (nothing of that
-            topic has ever come), `rewound` (time went back, as when a bag loops).
+            `unanswered` (no twist was applied), `lost_image`, `lost_twist`, `lost_step` (how many
+            steps are missing), `odd_step` (a stamp that nothing followed), `no_image` and
+            `no_twist` (nothing of that topic has ever come), `rewound` (time went back, as when a
+            bag loops).
     """
 
     def __init__(
@@ -309,7 +322,9 @@ class TransitionJoiner:
                 verdict = 'joined'
             if verdict in ('lost_image', 'lost_twist'):
                 verdict = self._named(verdict)
-            if verdict != 'boundary':
+            if verdict == 'lost_step':
+                self.counts[verdict] += missing_steps(before, after)
+            elif verdict != 'boundary':
                 self.counts[verdict] += 1
             self._steps.popleft()
             self._images.forget_before(next_stamp)
@@ -319,10 +334,10 @@ class TransitionJoiner:
     def _verdict(
         self, stamp: int, before: Step, next_stamp: int, after: Step,
     ) -> Transition | str:
+        if missing_steps(before, after):
+            return 'lost_step'
         if before.episode != after.episode or after.decision == 0:
             return 'boundary'
-        if after.decision != before.decision + 1:
-            return 'lost_step'
         applied = after.applied
         if applied is None:
             return 'unanswered'

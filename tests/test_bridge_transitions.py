@@ -99,6 +99,18 @@ def test_resent_messages_change_nothing():
     assert joiner.counts['duplicate'] > 0
 
 
+@pytest.mark.parametrize('first, last, missing', [
+    (2, 3, 1), (1, 4, 3),  # within an episode
+    (5, 8, 3), (3, 8, 3),  # the head of the next one; of the end that is gone nothing tells
+    (3, 5, 0)])  # an end alone
+def test_every_step_of_a_gap_is_counted(first, last, missing):
+    images, steps, twists = drive()
+    joiner = TransitionJoiner()
+    joined = feed(joiner, images + twists + steps[:first] + steps[last:])
+    assert joiner.counts['lost_step'] == missing
+    assert len(joined) == joiner.counts['joined'] < 8
+
+
 def test_an_unanswered_frame_is_no_transition():
     images, steps, twists = drive(episodes=1)
     steps[2] = ('step', steps[2][1], dataclasses.replace(steps[2][2], applied=None))

@@ -11,6 +11,7 @@ from graph_probe import ROOT, wait_for
 from learning_cases import TINY
 from network_hosts import two_hosts
 from msgs_bridge.host_only import PROFILE_VARIABLE, RANGE, SKIP_VARIABLE
+from msgs_bridge.topics import STALL_DEPTH
 from test_graph_cars import in_bag, in_replay
 from trainer_node.training import Training
 import yaml
@@ -138,5 +139,7 @@ def test_two_hosts_learn_together_over_a_link_that_delays_loses_and_breaks(tmp_p
     missing = recorded.index(known[-1]) + 1 - len(known)
     counted = sum(int(said[0].get(f'transitions_{name}', 0)) for name in (
         'lost_image', 'lost_twist', 'lost_step', 'odd_step'))
-    assert (missing > 0) == (counted > 0) and missing <= 2 * counted
+    assert (missing > 0) == (counted > 0)
+    # of what the car no longer held when the link was back, whole episodes are unknown
+    assert missing <= 2 * counted or missing > STALL_DEPTH
     assert training.learning.sources['/car_1'].decisions > 40

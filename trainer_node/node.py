@@ -240,7 +240,8 @@ class TrainerNode(NodeShell):
             return (not self._driver.ended and car.silence()) or car.source.losses()
         if not self._cars:
             return f'no car: nobody publishes step below {self.settings.sources}'
-        odd = [car.source.name for car in self._cars if self._problems.get(car.source.name)]
+        odd = sorted(
+            car.source.name for car in self._cars if self._problems.get(car.source.name))
         first = f'{odd[0]}: {self._problems[odd[0]]}' if odd else ''
         return f'{first} (and {len(odd) - 1} more cars)' if len(odd) > 1 else first
 
