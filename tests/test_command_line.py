@@ -8,7 +8,7 @@ import sys
 
 from carracing_dqn.bringup import command
 from carracing_dqn.bringup.command import main
-from carracing_dqn.bringup.curve import Curve, MOST_POINTS
+from carracing_dqn.bringup.curve import Curve, MOST_POINTS, past_returns
 from carracing_dqn.bringup.display import Display
 from carracing_dqn.bringup.monitor import GraphState
 from carracing_dqn.bringup.run_command import laps_line, laps_table
@@ -21,6 +21,7 @@ from msgs_bridge.step import EPISODE_CORE, VALIDATION_FIELDS
 import pytest
 from rich.console import Console
 from trainer_node.hyperparameters import Hyperparameters
+from trainer_node.settings import TOO_SLOW
 
 
 @pytest.fixture(autouse=True)
@@ -184,10 +185,22 @@ def test_a_curve_shows_the_whole_run_in_bounded_memory():
     assert curve.points == [(1.0, 5.0)]
 
 
+def test_a_resumed_run_goes_on_with_its_curve(tmp_path):
+    episodes = tmp_path / 'episodes.csv'
+    assert past_returns(episodes, 9, 2) == []
+    episodes.write_text('episode,train_reward,wall_seconds\n0,10,1\n1,20,2\n2,x,3\n3,40,4\n')
+    # what came after the checkpoint is driven again
+    assert past_returns(episodes, 3, 2) == [(1.0, 10.0), (2.0, 15.0)]
+    assert past_returns(episodes, 9, 2)[-1] == (4.0, 30.0)
+
+
 def test_what_a_trainer_lacks_stands_in_the_line():
-    state = state_of(wall_seconds='60', episodes='0', decisions='7')
-    state.health[f'/{TRAINER.name}']['summary'] = 'too slow for this recipe'
-    assert '; too slow for this recipe' in training_line(state)
+    state = state_of(wall_seconds='60', episodes='0', decisions='7', epsilon_at_end='0.4')
+    state.health[f'/{TRAINER.name}']['summary'] = 'no step: nobody publishes /step'
+    assert training_line(state).endswith('; no step: nobody publishes /step')
+    # a log has the whole sentence from the trainer, once
+    state.health[f'/{TRAINER.name}']['summary'] = f'{TOO_SLOW}: at 3 decisions/s and so on'
+    assert training_line(state).endswith(f'; {TOO_SLOW}, epsilon at the end about 0.40')
     state.health[f'/{TRAINER.name}']['summary'] = 'learning'
     assert ';' not in training_line(state)
 

@@ -27,9 +27,9 @@ from trainer_node.hyperparameters import Hyperparameters
 from trainer_node.learner import make_learner
 from trainer_node.limiter import LimiterState, ReplayRatioLimiter
 from trainer_node.replay_buffer import Batch, make_replay, ReplayBuffer, sample_both
+from trainer_node.settings import MOVING_AVERAGE_EPISODES
 from trainer_node.shaping import Shaping
 
-MOVING_AVERAGE_EPISODES = 20
 # of an error about how two models differ
 MAX_TEXT = 300
 MAX_SOURCES = 4096

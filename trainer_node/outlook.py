@@ -8,6 +8,7 @@ from collections import deque
 from trainer_node import schedules
 from trainer_node.hyperparameters import Hyperparameters
 from trainer_node.model_selection import Moment
+from trainer_node.settings import TOO_SLOW
 
 # The pace is that of so many seconds, of a short run that of a tenth of it: at first nothing is
 # learned, and a machine is faster than later on.
@@ -76,5 +77,5 @@ class Outlook:
             # with two digits
             fits = f'epsilon_decisions={max(float(f"{FALL * last_decision:.1e}"), 1):.0f}'
         self.warning = (
-            f'too slow for this recipe: at {pace} epsilon ends at {self.epsilon:.2f}, not '
+            f'{TOO_SLOW}: at {pace} epsilon ends at {self.epsilon:.2f}, not '
             f'{end:g}; more --minutes, or --set {fits}')

@@ -12,6 +12,9 @@ from msgs_bridge.settings import setting
 # what the diagnostics say when nothing is missing
 LEARNING, VALIDATING = 'learning', 'validating the last weights'
 PRETRAINING = 'learning from demonstrations'
+TOO_SLOW = 'too slow for this recipe'
+MOVING_AVERAGE_EPISODES = 20
+"""Of `mean_return`, in words the moving average."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -24,6 +24,8 @@ def main(words: list[str]) -> int:
     parser.add_argument('--seconds', type=float, default=4.0, help='of one measurement')
     parser.add_argument('--json', default=None, help='file for the figures')
     options = parser.parse_args(words)
+    if options.rounds < 2:
+        parser.error('--rounds must be at least 2, or there is no error to state')
     figures = listener_cost(_begin, rounds=options.rounds, seconds=options.seconds,
                             settle=JOIN_SECONDS)
     say(Console(), f'lockstep while it is watched {figures["decisions_per_second_with"]:.0f} '

@@ -4,8 +4,13 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
+
+from carracing_dqn.evaluation.statistics import moving_average
+from carracing_dqn.evaluation.tables import read_table
 
 MOST_POINTS = 512
+PAST_COLUMNS = 'episode', 'train_reward', 'wall_seconds'
 
 
 class Curve:
@@ -35,3 +40,20 @@ class Curve:
             # every other one is left out, of these and of those to come
             self.points = self.points[::2]
             self._gap = 2 * (at - self.points[0][0]) / MOST_POINTS
+
+
+def past_returns(episodes: Path, count: int, window: int) -> list[tuple[float, float]]:
+    """
+    Return the moving average of a run's returns over its wall seconds, as far as it goes on.
+
+    Args:
+        episodes: its episodes.csv; whatever of it cannot be read is left out.
+        count: how many episodes the run has behind it.
+        window: of the average, in episodes.
+    """
+    table, _ = read_table(episodes, PAST_COLUMNS)
+    if not table.has(*PAST_COLUMNS):
+        return []
+    numbers, returns, seconds = table.known(*PAST_COLUMNS)
+    past = numbers < count
+    return list(zip(seconds[past].tolist(), moving_average(returns[past], window).tolist()))

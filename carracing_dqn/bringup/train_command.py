@@ -12,6 +12,7 @@ import shutil
 import textwrap
 from typing import Any
 
+from carracing_dqn.bringup.curve import past_returns
 from carracing_dqn.bringup.display import Display
 from carracing_dqn.bringup.graph import (
     car_space, cars_graph, Graph, learner_graph, training_graph,
@@ -33,6 +34,7 @@ from rich.console import Console
 from trainer_node.hyperparameters import Hyperparameters, load_preset, preset_names
 from trainer_node.open_run import read_overrides, resume_point, ResumePoint, run_settings
 from trainer_node.run_folder import RunFolder
+from trainer_node.settings import MOVING_AVERAGE_EPISODES
 
 DEMONSTRATIONS = 'demonstrations.safetensors'
 """File in the run folder."""
@@ -118,6 +120,9 @@ def main(arguments: argparse.Namespace) -> int:
     try:
         refuse_second_simulator(monitor, tuple(map(car_space, range(arguments.cars))))
         new_folder(folder, begun=begun)
+        for point in past_returns(
+                RunFolder(folder).episodes, done.episodes, MOVING_AVERAGE_EPISODES):
+            monitor.state.curve.add(*point)
         if shown is not None:
             shown.write(folder / DEMONSTRATIONS)
         display = Display(monitor.state, training_table, training_line, console)

@@ -19,7 +19,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 from trainer_node.run_folder import RunFolder
-from trainer_node.settings import LEARNING, PRETRAINING, VALIDATING
+from trainer_node.settings import LEARNING, PRETRAINING, TOO_SLOW, VALIDATING
 
 LIVE_VALUES = (
     ('return, last episode', 'last_return', '.1f'),
@@ -131,8 +131,12 @@ def training_line(state: GraphState) -> str:
              + show('{} updates/s', 'updates_per_second', '.1f')
              + show('{} decisions/s', 'decisions_per_second', '.0f', SIMULATOR.name))
     line += cars_in_words(state)
-    if state.summary(TRAINER.name) not in WELL:
-        line += f'; {state.summary(TRAINER.name)}'
+    said = state.summary(TRAINER.name)
+    if said.startswith(TOO_SLOW):
+        # what would fit stands once in the trainer's log, and in its diagnostics
+        line += f'; {TOO_SLOW}' + show('epsilon at the end about {}', 'epsilon_at_end', '.2f')
+    elif said not in WELL:
+        line += f'; {said}'
     if state.validations:
         result = state.validations[-1]
         line += f'; validation {result["mean"]:.1f} ± {result["std"]:.1f}'
