@@ -14,11 +14,14 @@ import time
 
 from carracing_dqn.bringup import command
 from carracing_dqn.bringup.command import main
+from carracing_dqn.evaluation.laps import Lap
 from carracing_dqn.studies.bootstrap import (
     estimate, improvement, interquartile_mean, permutation_p,
 )
+from carracing_dqn.studies.curves import draw
 from carracing_dqn.studies.errors import StudyError
 from carracing_dqn.studies.one_process import learn
+from carracing_dqn.studies.outcome import Curve, Outcome
 from carracing_dqn.studies.schedule import why_ended
 from carracing_dqn.studies.search import Search
 from carracing_dqn.studies.study_file import find_study, load_study, plan, study_names
@@ -292,6 +295,13 @@ def test_a_search_is_driven_and_compared(folder, capsys):
     assert '2 of 2 runs are done' in page and 'P(better than trial-000)' in page
     assert main(['study', path]) == 0
     assert capsys.readouterr().out.count('done before') == 2
+
+
+@pytest.mark.parametrize('laps, panels', [({}, 1), ({1: Lap(1, 5.0, 9)}, 2)])
+def test_a_figure_has_no_empty_half(laps, panels):
+    curve = Curve(np.arange(3.0), np.arange(3.0))
+    outcome = Outcome(None, 'not finished', '', curve, laps, curve.returns, {})
+    assert len(draw({'one': [outcome]}, 'episodes', 'return').axes) == panels
 
 
 def test_interquartile_mean_by_hand():

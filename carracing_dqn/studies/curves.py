@@ -51,24 +51,29 @@ def draw(
     """
     with style.styled():
         figure = style.new_figure(size)
-        left, right = figure.subplots(1, 2, width_ratios=(3, 2))
-        for number, (name, outcomes) in enumerate(_shown(arms).items()):
+        shown = _shown(arms)
+        # as long as no run has been tested there is nothing to compare
+        tested = any(scores_of(outcomes).size for outcomes in shown.values())
+        left, right = (
+            figure.subplots(1, 2, width_ratios=(3, 2)) if tested else (figure.subplots(), None))
+        for number, (name, outcomes) in enumerate(shown.items()):
             again, place = divmod(number, len(style.RUN_COLOURS))
             colour = style.RUN_COLOURS[place]
             # arms of one colour differ in their dashes
             dash = style.RUN_DASHES[(place + again) % len(style.RUN_DASHES)]
             _curve(left, name, outcomes, colour, dash)
-            _scores(right, number, outcomes, colour)
+            if right is not None:
+                _scores(right, number, outcomes, colour)
         left.set_xlabel(against)
         left.xaxis.set_major_locator(MaxNLocator(6))
         left.xaxis.set_major_formatter(EngFormatter(sep=''))
         left.set_ylabel('training return, mean of 20')
-        names = list(_shown(arms))
-        right.set_yticks(range(len(names)), [name[:28] for name in names])
-        right.set_ylim(len(names) - 0.5, -0.5)
-        right.set_xlabel(score)
         if left.lines:
             left.legend(loc='best')
+        if right is not None:
+            right.set_yticks(range(len(shown)), [name[:28] for name in shown])
+            right.set_ylim(len(shown) - 0.5, -0.5)
+            right.set_xlabel(score)
     return figure
 
 
