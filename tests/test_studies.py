@@ -21,7 +21,7 @@ from carracing_dqn.studies.bootstrap import (
 from carracing_dqn.studies.curves import draw
 from carracing_dqn.studies.errors import StudyError
 from carracing_dqn.studies.one_process import learn
-from carracing_dqn.studies.outcome import Curve, Outcome
+from carracing_dqn.studies.outcome import Curve, DONE, Outcome, UNFINISHED
 from carracing_dqn.studies.schedule import why_ended
 from carracing_dqn.studies.search import Search
 from carracing_dqn.studies.study_file import find_study, load_study, plan, study_names
@@ -297,10 +297,10 @@ def test_a_search_is_driven_and_compared(folder, capsys):
     assert capsys.readouterr().out.count('done before') == 2
 
 
-@pytest.mark.parametrize('laps, panels', [({}, 1), ({1: Lap(1, 5.0, 9)}, 2)])
-def test_a_figure_has_no_empty_half(laps, panels):
+@pytest.mark.parametrize('state, panels', [(UNFINISHED, 1), (DONE, 2)])
+def test_a_figure_has_no_empty_half(state, panels):
     curve = Curve(np.arange(3.0), np.arange(3.0))
-    outcome = Outcome(None, 'not finished', '', curve, laps, curve.returns, {})
+    outcome = Outcome(None, state, '', curve, {1: Lap(1, 5.0, 9)}, curve.returns, {})
     assert len(draw({'one': [outcome]}, 'episodes', 'return').axes) == panels
 
 
