@@ -68,6 +68,22 @@ def test_rerun_takes_a_bag(bag, tmp_path):
     assert again.returncode == 2 and 'exists already' in again.stderr
 
 
+def test_the_window_of_rerun_is_reached_from_this_host_alone(bag):
+    pytest.importorskip('rerun', reason="no rerun: pip install '.[rerun]'")
+    from carracing_dqn.watch import rerun_view
+    viewer, address = rerun_view.start_viewer('--headless')
+    try:
+        port = int(address.rpartition(':')[2].partition('/')[0])
+        # local addresses of listening sockets, IPv4 and IPv6, as the kernel writes them
+        listening = [line.split()[1] for table in ('tcp', 'tcp6')
+                     for line in Path(f'/proc/net/{table}').read_text().splitlines()
+                     if line.split()[3] == '0A']
+        assert [one for one in listening if one.endswith(f':{port:04X}')] == [
+            f'0100007F:{port:04X}']
+    finally:
+        viewer.kill()
+
+
 def test_what_cannot_be_viewed_is_one_line(tmp_path):
     for words in ((), ('x', '--live'), (str(tmp_path / 'nothing'), '--save', 'x.rrd')):
         said = carracing('view', *words)

@@ -10,7 +10,7 @@ from carracing_dqn.watch.graph_parts import End, Misfit, RATE_SECONDS, Topic, To
 from carracing_dqn.watch.series import KEPT_SECONDS, MAX_NAMES, SeriesTable
 from carracing_dqn.watch.state import MAX_CARS, MAX_NODES, MAX_TOPICS, WatchState
 from msgs_bridge.step import Step
-from msgs_bridge.topics import CMD_VEL, DIAGNOSTICS, IMAGE, Q_VALUES, STEP, TOPICS
+from msgs_bridge.topics import CMD_VEL, DIAGNOSTICS, IMAGE, Q_VALUES, STEP, TOPICS, WEIGHTS
 from msgs_bridge.twists import Command
 import numpy as np
 import pytest
@@ -182,7 +182,64 @@ def test_ends_that_do_not_match_and_names_that_do_not_meet():
         '/camera/image': TopicEnds(IMAGE.type_name, [], [end(POLICY, IMAGE)])}, 2.0)
     (cause,) = state.snapshot(2.0)['causes']
     assert cause['kind'] == 'wrong remap' and '/camera/image' in cause['text']
-    assert cause['mend'] == f'-r image:=/image_raw at {POLICY}, or one name at both'
+    assert cause['mend'] == f'-r image:=/image_raw at {POLICY}'
+    # a policy of ours calls it image_raw, whatever it has been remapped to
+    state.see_graph(NODES, GRAPH, 2.0)
+    state.take('/diagnostics', DIAGNOSTICS.type_name, policy(), 2.0)
+    state.see_graph(NODES, {
+        '/image_raw': ends(IMAGE, SIMULATOR, RECORDER),
+        '/camera/image': TopicEnds(IMAGE.type_name, [], [end(POLICY, IMAGE)])}, 2.0)
+    (cause,) = state.snapshot(2.0)['causes']
+    assert cause['mend'] == f'-r image_raw:=/image_raw at {POLICY}'
+    # of topics of one type those of one name are meant for each other
+    state.see_graph(NODES, {
+        '/step': ends(STEP, SIMULATOR), '/q_values': ends(Q_VALUES, POLICY),
+        '/nowhere/step': TopicEnds(STEP.type_name, [], [end(TRAINER, STEP)])}, 3.0)
+    (cause,) = state.snapshot(3.0)['causes']
+    assert cause['mend'] == f'-r step:=/step at {TRAINER}'
+
+
+def test_a_trainer_is_compared_with_those_who_hear_it():
+    state = WatchState('test')
+
+    def hear(trainer, begin, graph=GRAPH):
+        for number in range(begin, begin + 60):
+            now = number / 5
+            state.see_graph((*NODES, trainer), graph, now)
+            for data in (simulator(), policy(), health(
+                    trainer, 'learning', progress=0.1, weights_version=90, decisions=number)):
+                state.take('/diagnostics', DIAGNOSTICS.type_name, data, now)
+        return kinds(state, now)
+
+    state.see_graph(NODES, GRAPH, 0.0)
+    assert hear('/other/trainer_node', 0) == []
+    heard = {**GRAPH, '/other/weights': ends(WEIGHTS, '/other/trainer_node', POLICY)}
+    assert hear('/other/trainer_node', 60, heard) == ['stale weights']
+
+
+def test_nothing_is_said_to_be_well_before_it_has_been_seen():
+    state = WatchState('test')
+    assert state.snapshot(0.0)['looking']
+    now = drive(state, frames=5)
+    assert state.snapshot(now)['looking']
+    now = drive(state, frames=100, begin=5)
+    # their parameters may be what is wrong
+    assert state.snapshot(now)['looking']
+    for node in NODES:
+        state.take_parameters(node, {})
+    assert not state.snapshot(now)['looking']
+
+
+@pytest.mark.parametrize('rows', [3, 6, 9])
+def test_of_what_is_wrong_no_more_is_shown_than_there_is_room_for(rows):
+    found = [{'kind': 'error', 'where': f'/node_{number}', 'text': 'a word ' * 20, 'mend': 'it'}
+             for number in range(5)]
+    lines = painting.causes({'causes': found, 'looking': False}, 76, rows).plain.split('\n')
+    whole = sum(line.startswith('  mend: it') for line in lines)
+    assert len(lines) <= rows and max(map(len, lines)) <= 76
+    assert lines[0].startswith('error /node_0: a word')
+    assert lines[-1] == f'and {5 - max(whole, 1)} more'
+    assert whole or lines[-2] == '…'
 
 
 def test_nodes_that_fall_silent_go_or_have_no_room():

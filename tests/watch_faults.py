@@ -64,10 +64,10 @@ def policy(graph: Graph, *remaps: str, model: str = 'random', **parameters: obje
     return start(graph, 'policy', 'dqn_policy_node', *remaps, model=model, **parameters)
 
 
-def trainer(graph: Graph, *remaps: str) -> Child:
+def trainer(graph: Graph, *remaps: str, **recipe: object) -> Child:
     """Start a trainer with a small network."""
     preset = graph.log_folder / 'tiny.yaml'
-    preset.write_text(yaml.safe_dump({**PRESET, 'action_repeat': 2}))
+    preset.write_text(yaml.safe_dump({**PRESET, 'action_repeat': 2, **recipe}))
     return start(graph, 'trainer', 'trainer_node', *remaps,
                  preset=str(preset), run=str(graph.log_folder / 'run'))
 
@@ -103,7 +103,8 @@ def plain_twist(graph: Graph) -> None:
 
 def stale_weights(graph: Graph) -> None:
     """The policy takes no weights from the trainer."""
-    trainer(graph)
+    # of the same actions as the model, so that this is all that is wrong
+    trainer(graph, action_space='grid9')
     policy(graph, model='racing', hot_swap=False)
     simulator(graph)
 

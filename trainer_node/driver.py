@@ -114,7 +114,7 @@ class Driver:
             self.training.add(transition, source)
         except MessageError as error:
             self.left_out = str(error)
-            self._warn(source or 'learning', f'left out: {error}')
+            self._warn(source or 'transitions', f'left out: {error}')
         if self.training.learning.taken % STATUS_EVERY == 0:
             self.outlook.note(self.training.moment)
             self._take_figures()
@@ -130,7 +130,7 @@ class Driver:
             self._requests.get()()
         if self.ended:
             if not self.done and time.monotonic() > self._give_up_at:
-                self._warn('learning', 'no validation of the last weights came in time')
+                self._warn('validation', 'no validation of the last weights came in time')
                 self.done = True
             return not self.done
         training = self.training
@@ -188,7 +188,7 @@ class Driver:
         try:
             better = self.training.record_validation(values)
         except MessageError as error:
-            self._warn('learning', f'left out: {error}')
+            self._warn('transitions', f'left out: {error}')
             return
         if better:
             self._say(f'version {values["version"]:.0f} is the best so far: '

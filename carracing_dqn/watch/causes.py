@@ -14,10 +14,11 @@ from typing import Any, NamedTuple, TYPE_CHECKING
 
 import numpy as np
 
-from carracing_dqn.watch.car import Car, TWIST_TYPES
-from carracing_dqn.watch.graph_parts import Node
+from carracing_dqn.watch.car import Car, IMAGE_TYPES, TWIST_TYPES
+from carracing_dqn.watch.graph_parts import End, Node
 from msgs_bridge.health import ERROR, WARN
 from msgs_bridge.images import ENCODINGS
+from msgs_bridge.topics import CMD_VEL, IMAGE
 
 if TYPE_CHECKING:
     from carracing_dqn.watch.state import WatchState
@@ -57,6 +58,10 @@ def causes(state: WatchState, now: float) -> list[Cause]:
     found: dict[tuple[str, str], Cause] = {}
     for judge in JUDGES:
         for cause in judge(state, now):
+            if any(cause.text in other.text for other in found.values()
+                   if other.where == cause.where):
+                # a judge before has said it, and what it means
+                continue
             found.setdefault((cause.kind, cause.where), cause)
             if len(found) >= MOST_CAUSES:
                 return list(found.values())
@@ -102,8 +107,8 @@ def _missing(state: WatchState, now: float) -> Iterator[Cause]:
         there = len({end.node for end in topic.ends.subscriptions})
         if there < wanted:
             yield Cause('listener gone', topic.name,
-                        f'{name} was started with {wanted} listeners (trainer, recorder), '
-                        f'{there} are left', 'start the trainer or recorder that is missing')
+                        f'{name} was told to wait for {wanted} subscribed (trainer, recorder), '
+                        f'there are {there}', 'start the trainer or recorder that is missing')
 
 
 def _errors(state: WatchState, now: float) -> Iterator[Cause]:
@@ -145,14 +150,28 @@ def _remaps(state: WatchState, now: float) -> Iterator[Cause]:
             continue
         for other, offered in unheard.items():
             if offered.ends.type_name in {end.type_name for end in hearers} and (
-                    _camera_or_twist(offered.ends.type_name)):
+                    _camera_or_twist(offered.ends.type_name)
+                    or _base(name) == _base(other)):
                 yield Cause(
                     'wrong remap', name,
                     f'{hearers[0].node} listens to {name}, which nobody publishes; nobody hears '
                     f'{other} of {offered.ends.publishers[0].node}',
-                    f'-r {name.rpartition("/")[2]}:={other} at {hearers[0].node}, or one name at '
-                    'both')
+                    f'-r {_own_name(state, hearers[0], name)}:={other} at {hearers[0].node}')
                 break
+
+
+def _base(name: str) -> str:
+    return name.rpartition('/')[2]
+
+
+def _own_name(state: WatchState, end: End, name: str) -> str:
+    """Return what a node itself calls a topic, before any remap, as far as that is known."""
+    node = state.nodes.get(end.node)
+    if node is not None and (node.is_policy or node.is_simulator or node.is_trainer):
+        for topic, types in ((IMAGE, IMAGE_TYPES), (CMD_VEL, TWIST_TYPES)):
+            if end.type_name in types:
+                return topic.name
+    return _base(name)
 
 
 def _camera_or_twist(type_name: str) -> bool:
@@ -195,7 +214,7 @@ def _colours(state: WatchState, now: float) -> Iterator[Cause]:
         elif read_otherwise and seen is not None and told and not exchanged:
             yield Cause('swapped colours', where,
                         f'images that say {said} are read as {forced}, and say it rightly',
-                        "camera_encoding:='' there")
+                        f"-p camera_encoding:='' at {where}")
 
 
 def _steering(state: WatchState, now: float) -> Iterator[Cause]:
@@ -204,11 +223,11 @@ def _steering(state: WatchState, now: float) -> Iterator[Cause]:
         if simulator is not None and isinstance(scale, float) and scale < 0:
             yield Cause('mirrored steering', policy.name,
                         f'angular_scale is {scale:g}, and {simulator.name} turns left at '
-                        'angular.z above 0', f'angular_scale:={-scale:g}')
+                        'angular.z above 0', f'-p angular_scale:={-scale:g} at {policy.name}')
         elif simulator is not None and parameters.get('camera_mirror') is True:
             yield Cause('mirrored steering', policy.name,
                         'camera_mirror exchanges left and right of pictures that are none of a '
-                        'mirror', 'camera_mirror:=false')
+                        'mirror', f'-p camera_mirror:=false at {policy.name}')
         elif car.evidence.mirrored_on_the_way:
             yield Cause('mirrored steering', f'{car.namespace}/cmd_vel',
                         'what is applied has the other sign than what was sent with that stamp',
@@ -238,8 +257,9 @@ def _weights(state: WatchState, now: float) -> Iterator[Cause]:
             yield Cause('stale weights', policy.name,
                         f'it drives with version {policy.values["weights_version"]}, the trainer '
                         f'has handed out {car.handed_out:g}',
-                        'hot_swap:=true' if parameters.get('hot_swap') is False else
-                        'what it says of weights, and whether it hears them')
+                        f'-p hot_swap:=true at {policy.name}'
+                        if parameters.get('hot_swap') is False else
+                        'what it says of weights, and whether it hears them (nodes, topics)')
 
 
 def _trainers(state: WatchState, now: float) -> Iterator[Cause]:
@@ -250,7 +270,8 @@ def _trainers(state: WatchState, now: float) -> Iterator[Cause]:
         if driving and node.is_trainer and idle > IDLE_SECONDS and (
                 state.node_state(node, now) == 'running'):
             yield Cause('silent trainer', name, f'it has taken no transition for {idle:.0f} s, '
-                        f'and says: {node.summary}', 'what it says is missing')
+                        f'and says: {node.summary}',
+                        'who publishes what it misses, and its remaps')
 
 
 def _moves(node: Node) -> bool:

@@ -50,7 +50,7 @@ function show(now) {
   state('live', 'ok');
   byId('title').textContent = now.title;
   showCars(now);
-  showCauses(now.causes);
+  showCauses(now.causes, now.looking);
   showPicture(now);
   showControls(now);
   showDrive(now.drive);
@@ -72,14 +72,17 @@ function showCars(now) {
   if (document.activeElement !== list) list.value = now.namespace;
 }
 
-function showCauses(causes) {
+function showCauses(causes, looking) {
   const items = causes.map((cause) => {
     const item = element('li', null, cause.kind === 'warning' ? 'warning' : '');
     item.append(element('b', cause.kind), element('span', `${cause.where}: ${cause.text}`));
     if (cause.mend) item.append(element('code', cause.mend));
     return item;
   });
-  if (!items.length) items.push(element('li', 'nothing that can be seen from here', 'good'));
+  if (!items.length) {
+    items.push(looking ? element('li', 'nothing so far, still looking')
+      : element('li', 'nothing that can be seen from here', 'good'));
+  }
   byId('causes').replaceChildren(...items);
 }
 

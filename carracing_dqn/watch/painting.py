@@ -10,6 +10,7 @@ from typing import Any
 from PIL import Image
 import numpy as np
 from rich.color import Color
+from rich.console import Console
 from rich.style import Style
 from rich.table import Table
 from rich.text import Text
@@ -46,20 +47,38 @@ def picture(pixels: np.ndarray | None, columns: int, rows: int) -> Text:
     return text
 
 
-def causes(found: Sequence[dict[str, str]], most: int) -> Text:
-    """Return what is wrong, a line each, the worst first."""
+def causes(shown: dict[str, Any], columns: int, rows: int) -> Text:
+    """
+    Return what is wrong, the worst first, and how much more there is.
+
+    Args:
+        shown: a snapshot.
+        columns: characters of a line.
+        rows: lines at most; what is wrong takes as many of them as it needs.
+    """
+    found = shown['causes']
     if not found:
-        return Text('nothing is wrong that can be seen from here', style='green')
-    text = Text()
-    for number, cause in enumerate(found[:most]):
-        text.append('\n' if number else '')
+        return (Text('nothing is wrong so far, still looking', style='dim') if shown['looking']
+                else Text('nothing is wrong that can be seen from here', style='green'))
+    lines: list[Text] = []
+    console = Console(width=max(columns, 20))
+    for place, cause in enumerate(found):
+        text = Text()
         text.append(cause['kind'], 'yellow' if cause['kind'] == 'warning' else 'bold red')
         text.append(f' {cause["where"]}: {cause["text"]}')
         if cause['mend']:
-            text.append(f'  [{cause["mend"]}]', 'cyan')
-    if len(found) > most:
-        text.append(f'\nand {len(found) - most} more', 'dim')
-    return text
+            text.append(f'\n  mend: {cause["mend"]}', 'cyan')
+        wrapped = text.wrap(console, max(columns, 20))
+        last = place == len(found) - 1
+        if len(lines) + len(wrapped) > rows - (not last):
+            if not lines:
+                lines = [*wrapped[:rows - 1 - (not last)], Text('…')]
+                place += 1
+            if place < len(found):
+                lines.append(Text(f'and {len(found) - place} more', 'dim'))
+            break
+        lines += wrapped
+    return Text('\n').join(lines)
 
 
 def drive(shown: dict[str, Any]) -> Text:
@@ -103,13 +122,13 @@ def topics(shown: dict[str, Any]) -> Table:
     """Return the topics with who publishes and who hears them."""
     table = _table('topic', 'Hz', 's ago', 'from', 'to')
     for topic in shown['topics']:
-        to = Text(_ends(topic['subscriptions']))
+        to = Text(_ends(topic['subscriptions'], shown['namespace']))
         for misfit in topic['misfits']:
             to.append(f'\n{misfit["publisher"]} -> {misfit["subscription"]}: {misfit["reason"]}',
                       'red')
         table.add_row(Text(topic['name']), Text(number(topic['rate'], 1), justify='right'),
                       Text(number(topic['age'], 1), justify='right'),
-                      Text(_ends(topic['publishers'])), to)
+                      Text(_ends(topic['publishers'], shown['namespace'])), to)
     return table
 
 
@@ -121,8 +140,8 @@ def plots(shown: dict[str, Any], columns: int) -> Text:
         if not values:
             continue
         text.append(f'{name[:30]} ', 'bold')
-        text.append(f'{number(values[-1])}   {number(min(values))} to {number(max(values))}, '
-                    f'{points[0][0]:.0f} s\n', 'dim')
+        text.append(f'{_plotted(values[-1])}   {_plotted(min(values))} to '
+                    f'{_plotted(max(values))}, {points[0][0]:.0f} s\n', 'dim')
         text.append(spark([(ago, value) for ago, value in points if value is not None],
                           max(columns, 10)) + '\n', 'blue')
     return text if text else Text('nothing to plot yet', style='dim')
@@ -152,9 +171,15 @@ def number(value: float | None, digits: int = 2) -> str:
     return '-' if value is None or not math.isfinite(value) else f'{value:.{digits}f}'
 
 
-def _ends(ends: Sequence[dict[str, Any]]) -> str:
-    return ', '.join(end['node'] + ('' if end['reliable'] else ' (best effort)')
-                     for end in ends) or '-'
+def _plotted(value: float) -> str:
+    """Return a number of any size in few characters."""
+    return number(value) if value == 0 or 0.1 <= abs(value) < 1e6 else f'{value:.2g}'
+
+
+def _ends(ends: Sequence[dict[str, Any]], namespace: str | None) -> str:
+    """Return nodes, a line each; those of the car that is shown without its namespace."""
+    return '\n'.join(end['node'].removeprefix(f'{namespace or ""}/')
+                     + ('' if end['reliable'] else ' (best effort)') for end in ends) or '-'
 
 
 def _table(*columns: str) -> Table:

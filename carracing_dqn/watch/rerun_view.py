@@ -4,6 +4,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+import contextlib
+import socket
+import subprocess
+import sys
 import time
 from typing import NamedTuple
 
@@ -15,11 +19,14 @@ from bags.frames import recorded_frames
 from bags.reader import BagReader
 from carracing_dqn.watch.layouts import PLOTS
 from carracing_dqn.watch.source import Source
+from msgs_bridge.errors import BridgeError
 from msgs_bridge.stamps import NANOSECONDS
 from msgs_bridge.step import Q_VALUE_EXTRAS
 
 APPLICATION = 'carracing_dqn'
 LIVE_SECONDS = 0.1
+LOOPBACK = '127.0.0.1'
+START_SECONDS = 30.0
 
 
 class Moment(NamedTuple):
@@ -32,14 +39,40 @@ class Moment(NamedTuple):
 
 
 def open_view(save: str | None) -> rr.RecordingStream:
-    """Return where to show: a window, or a file."""
+    """Return where to show: a window, or a file; raises BridgeError."""
     view = rr.RecordingStream(APPLICATION)
     if save is None:
-        view.spawn()
+        view.connect_grpc(start_viewer()[1])
     else:
         view.save(save)
     view.send_blueprint(blueprint())
     return view
+
+
+def start_viewer(*options: str) -> tuple[subprocess.Popen, str]:
+    """
+    Start a viewer that this host alone can reach; return it, and where it listens.
+
+    `RecordingStream.spawn` would start one that listens on every interface.
+
+    Raises:
+        BridgeError: it does not come up.
+    """
+    with socket.socket() as free:
+        free.bind((LOOPBACK, 0))
+        port = free.getsockname()[1]
+    viewer = subprocess.Popen(
+        [sys.executable, '-m', 'rerun', '--bind', LOOPBACK, '--port', str(port),
+         '--expect-data-soon', *options],
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
+    deadline = time.monotonic() + START_SECONDS
+    while time.monotonic() < deadline and viewer.poll() is None:
+        with contextlib.suppress(OSError), socket.create_connection((LOOPBACK, port), 1.0):
+            return viewer, f'rerun+http://{LOOPBACK}:{port}/proxy'
+        time.sleep(0.1)
+    viewer.kill()
+    raise BridgeError('the viewer of Rerun does not come up; `rerun` by itself says why, '
+                      '--save FILE does without it')
 
 
 def blueprint() -> rrb.Blueprint:
@@ -51,7 +84,7 @@ def blueprint() -> rrb.Blueprint:
                 name=plot.title, contents=[f'/step/{name}' for name in plot.values])
               for plot in PLOTS),
             rrb.TimeSeriesView(name='Q-values', origin='/q_values')),
-        column_shares=[2, 3]))
+        column_shares=[2, 3]), collapse_panels=True)
 
 
 def show(view: rr.RecordingStream, moments: Iterable[Moment]) -> int:

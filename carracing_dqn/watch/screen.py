@@ -21,8 +21,8 @@ from msgs_bridge.errors import BridgeError
 SHOW_SECONDS = 0.4
 # from this size on everything is on one screen
 WIDE, HIGH = 120, 38
-# lines of what is wrong on a small screen
-CAUSE_LINES = 3
+# lines of what is wrong, on a small screen and on one with room
+CAUSE_LINES, MANY_LINES = 6, 10
 EPSILON_STEP = 0.05
 PANES = ('drive', 'nodes', 'topics', 'plots')
 ALL_COMMANDS = {*COMMANDS, *BAG_COMMANDS}
@@ -36,7 +36,7 @@ class Screen(App[None]):
     AUTO_FOCUS = None
     CSS = """
     #head { height: 1; background: $primary-background; padding: 0 1; }
-    #causes { height: auto; max-height: 4; padding: 0 1; border-left: thick $error; }
+    #causes { height: auto; padding: 0 1; border-left: thick $error; }
     #causes.good { border-left: thick $success; }
     #notice { height: 1; padding: 0 1; color: $text-muted; }
     #drive { height: 1fr; }
@@ -62,7 +62,7 @@ class Screen(App[None]):
         Binding('right_square_bracket', 'rate(1)', 'faster', show=False),
         Binding('c', 'car', 'car', show=False),
         Binding('slash', 'find', 'plot'),
-        *(Binding(str(number), f'pane("{name}")', 'view', show=number == 1, key_display='1-4')
+        *(Binding(str(number), f'pane("{name}")', name, show=False)
           for number, name in enumerate(PANES, 1)),
     ]
 
@@ -112,9 +112,10 @@ class Screen(App[None]):
         shown = self._shown = source.state.snapshot(source.now(), self._car, self._plots)
         everything = self.query_one('#panes').has_class('all')
         self._put('head', _head(shown))
-        self._put('causes', painting.causes(shown['causes'], 6 if everything else CAUSE_LINES))
+        self._put('causes', painting.causes(
+            shown, self.size.width - 4, MANY_LINES if everything else CAUSE_LINES))
         self.query_one('#causes').set_class(not shown['causes'], 'good')
-        self._put('notice', Text(shown['notice']))
+        self._put('notice', self._tabs(shown['notice'], everything))
         if everything or self._pane == 'drive':
             area = self.query_one('#picture').content_size
             self._put('picture', painting.picture(
@@ -130,6 +131,14 @@ class Screen(App[None]):
 
     def _put(self, name: str, what: Any) -> None:
         self.query_one(f'#{name}', Static).update(what)
+
+    def _tabs(self, notice: str, everything: bool) -> Text:
+        """Return the views with their keys where they are shown one at a time, and the notice."""
+        text = Text(no_wrap=True)
+        for number, name in enumerate(() if everything else PANES, 1):
+            text.append(f'{number} {name}', 'reverse' if name == self._pane else '')
+            text.append('  ')
+        return text.append(notice)
 
     # --- keys
 

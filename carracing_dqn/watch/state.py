@@ -18,7 +18,7 @@ from carracing_dqn.watch.graph_parts import Node, Topic, TopicEnds
 from msgs_bridge.errors import BridgeError
 from msgs_bridge.health import LEVELS, read_health
 from msgs_bridge.plain_text import plain
-from msgs_bridge.topics import DIAGNOSTICS
+from msgs_bridge.topics import DIAGNOSTICS, WEIGHTS
 
 MAX_NODES, MAX_TOPICS, MAX_CARS = 200, 300, 16
 # a message on /diagnostics of more bytes is none
@@ -29,6 +29,8 @@ REMEMBERED_SECONDS = 600.0
 FIRST_PLOTS = ('episode_return', 'speed', 'episode.return', 'validation.mean', 'reward')
 MAX_PLOTS = 6
 MAX_NAME = 200
+# so long it takes to see a graph that is well; a node may be slow to tell its parameters
+LOOK_SECONDS, ASK_SECONDS = 8.0, 60.0
 
 RUNNING, GONE, SILENT, UNKNOWN = 'running', 'gone', 'silent', 'says nothing'
 # a node of ours speaks once a second; on a busy machine it may be late
@@ -64,6 +66,7 @@ class WatchState:
         self.notice = ''
         self.playing: dict[str, Any] = {}
         self._roles: dict[str, tuple[Car, str]] = {}
+        self._began = math.inf
         self._lock = threading.RLock()
 
     # --- from the source
@@ -74,6 +77,7 @@ class WatchState:
     ) -> None:
         """Take what the graph consists of now; `now` in s, as everywhere."""
         with self._lock:
+            self._began = min(self._began, now)
             for name in nodes:
                 node = self._node(name, now)
                 if node is not None:
@@ -144,10 +148,14 @@ class WatchState:
         """
         with self._lock:
             car = self._car(namespace)
+            # of the car that is shown first
+            ours = '' if car is None else f'{car.namespace}/'
+            found = sorted(causes(self, now), key=lambda cause: not cause.where.startswith(ours))
             return {
                 'title': self.title, 'notice': self.notice, 'playing': dict(self.playing),
                 'cars': sorted(self.cars),
-                'causes': [cause._asdict() for cause in causes(self, now)],
+                'causes': [cause._asdict() for cause in found],
+                'looking': self._looking(now),
                 'nodes': [self._show_node(node, now) for _, node in sorted(self.nodes.items())],
                 'topics': [_show_topic(topic, now) for _, topic in sorted(self.topics.items())],
                 'rejected': self.rejected + sum(one.rejected for one in self.cars.values()),
@@ -180,6 +188,15 @@ class WatchState:
         return SILENT if spoke else UNKNOWN
 
     # --- within
+
+    def _looking(self, now: float) -> bool:
+        """Return whether it is too early to say that nothing is wrong."""
+        if self.playing:
+            return False
+        asked = (node for name, node in self.nodes.items()
+                 if (node.is_policy or node.is_simulator) and name not in self.parameters)
+        return now - self._began < LOOK_SECONDS or any(
+            now - node.since < ASK_SECONDS for node in asked)
 
     def _graph_seen(self) -> float:
         return max((node.listed_at or 0.0 for node in self.nodes.values()), default=0.0)
@@ -226,7 +243,15 @@ class WatchState:
             if node.is_trainer:
                 # one learns from many cars
                 for car in self.cars.values():
-                    car.hand_out(node.number('weights_version'), now)
+                    if self._teaches(node.name, car.namespace):
+                        car.hand_out(node.number('weights_version'), now)
+
+    def _teaches(self, trainer: str, space: str) -> bool:
+        """Return whether a car is in a trainer's namespace or below, or hears its weights."""
+        return f'{space}/'.startswith(f'{trainer.rpartition("/")[0]}/') or any(
+            trainer in {end.node for end in topic.ends.publishers}
+            and space in {end.node.rpartition('/')[0] for end in topic.ends.subscriptions}
+            for topic in self.topics.values() if topic.ends.type_name == WEIGHTS.type_name)
 
     def _assign(self) -> None:
         """Say which topic is what to which car."""
