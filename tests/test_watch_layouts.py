@@ -81,7 +81,7 @@ def test_the_window_of_rerun_is_reached_from_this_host_alone(bag):
         assert [one for one in listening if one.endswith(f':{port:04X}')] == [
             f'0100007F:{port:04X}']
     finally:
-        viewer.kill()
+        rerun_view.end_viewer(viewer)
 
 
 def test_what_cannot_be_viewed_is_one_line(tmp_path):

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 import contextlib
+import os
+import signal
 import socket
 import subprocess
 import sys
@@ -70,9 +72,16 @@ def start_viewer(*options: str) -> tuple[subprocess.Popen, str]:
         with contextlib.suppress(OSError), socket.create_connection((LOOPBACK, port), 1.0):
             return viewer, f'rerun+http://{LOOPBACK}:{port}/proxy'
         time.sleep(0.1)
-    viewer.kill()
+    end_viewer(viewer)
     raise BridgeError('the viewer of Rerun does not come up; `rerun` by itself says why, '
                       '--save FILE does without it')
+
+
+def end_viewer(viewer: subprocess.Popen) -> None:
+    """End a viewer; the process that was started has one of its own, which is the window."""
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(viewer.pid, signal.SIGKILL)
+    viewer.wait()
 
 
 def blueprint() -> rrb.Blueprint:
