@@ -199,6 +199,17 @@ def test_ends_that_do_not_match_and_names_that_do_not_meet():
     assert cause['mend'] == f'-r step:=/step at {TRAINER}'
 
 
+def test_a_watch_that_was_held_up_blames_nobody_for_it():
+    state = WatchState('test')
+    now = drive(state)
+    state.look(now + 20)
+    assert kinds(state, now + 20) == []
+    for second in range(21, 30):
+        state.see_graph(NODES, GRAPH, now + second)
+        state.look(now + second)
+    assert kinds(state, now + 29) == ['node silent'] * 2
+
+
 def test_a_trainer_is_compared_with_those_who_hear_it():
     state = WatchState('test')
 
@@ -238,7 +249,7 @@ def test_of_what_is_wrong_no_more_is_shown_than_there_is_room_for(rows):
     whole = sum(line.startswith('  mend: it') for line in lines)
     assert len(lines) <= rows and max(map(len, lines)) <= 76
     assert lines[0].startswith('error /node_0: a word')
-    assert lines[-1] == f'and {5 - max(whole, 1)} more'
+    assert lines[-1] == f'and {5 - max(whole, 1)} more, below the nodes'
     assert whole or lines[-2] == '…'
 
 

@@ -43,8 +43,8 @@ def main(arguments: argparse.Namespace) -> int:
     if arguments.json is None and not arguments.browser and not sys.stdout.isatty():
         raise BridgeError('a screen needs a terminal; --browser serves a page, --json prints')
     os.nice(NICE)
-    if arguments.json is None:
-        say(Console(), 'carracing watch: starting')
+    if arguments.json is None and not arguments.browser:
+        say(Console(), 'carracing watch: looking at the graph')
     source = _source(arguments)
     try:
         if arguments.json is not None:

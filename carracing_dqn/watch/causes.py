@@ -34,6 +34,7 @@ STALE_SECONDS, IDLE_SECONDS = 6.0, 6.0
 DISK_WORDS = ('No space left', 'File too large', 'Disk quota', 'the disk has taken nothing')
 # nodes that subscribe to everything and miss nothing by it
 RECORDERS = ('bag_recorder_node', 'rosbag2_recorder')
+RECOVER = '`carracing bag recover` saves what its bag holds'
 
 
 class Cause(NamedTuple):
@@ -71,10 +72,11 @@ def causes(state: WatchState, now: float) -> list[Cause]:
 def _disk(state: WatchState, now: float) -> Iterator[Cause]:
     for node in state.nodes.values():
         if any(word in node.worst for word in DISK_WORDS):
+            room = ('a higher limit of the size of files (ulimit -f)'
+                    if 'File too large' in node.worst else 'room on the disk')
             yield Cause('full disk', node.name, node.worst,
-                        'room on the disk, then start it again; `carracing bag recover` saves '
-                        'what a bag holds' if 'record' in node.name else
-                        'room on the disk, then go on with --resume')
+                        f'{room}, then start it again; {RECOVER}' if _base(
+                            node.name) in RECORDERS else f'{room}, then go on with --resume')
 
 
 def _gone(state: WatchState, now: float) -> Iterator[Cause]:
@@ -86,7 +88,8 @@ def _gone(state: WatchState, now: float) -> Iterator[Cause]:
         if one == 'gone' and node.heard_at is not None and name.rpartition('/')[0] in alive:
             said = node.worst or node.summary
             yield Cause('node gone', name, f'it is gone; it said last: {said}',
-                        'its log tells why; start it again')
+                        'its log tells why; start it again' + (
+                            f'; {RECOVER}' if _base(name) in RECORDERS else ''))
         elif one == 'silent':
             yield Cause('node silent', name,
                         f'it has said nothing for {now - node.heard_at:.0f} s; it said last: '
@@ -253,12 +256,15 @@ def _rate(state: WatchState, now: float) -> Iterator[Cause]:
 
 def _weights(state: WatchState, now: float) -> Iterator[Cause]:
     for car, policy, _, parameters in _pairs(state):
-        if policy is not None and now - car.weights_fresh_at > STALE_SECONDS:
+        # as long as it has said with which weights it drives: a silent one is told of by others
+        if policy is not None and car.handed_out is not None and (
+                policy.heard_at - car.weights_fresh_at > STALE_SECONDS):
+            deaf = parameters.get('hot_swap') is False
+            said = (f'it drives with version {policy.values["weights_version"]}, the trainer has '
+                    f'handed out {car.handed_out:g}')
             yield Cause('stale weights', policy.name,
-                        f'it drives with version {policy.values["weights_version"]}, the trainer '
-                        f'has handed out {car.handed_out:g}',
-                        f'-p hot_swap:=true at {policy.name}'
-                        if parameters.get('hot_swap') is False else
+                        f'hot_swap is false: {said}' if deaf else said,
+                        f'-p hot_swap:=true at {policy.name}' if deaf else
                         'what it says of weights, and whether it hears them (nodes, topics)')
 
 

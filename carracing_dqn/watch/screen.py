@@ -122,7 +122,8 @@ class Screen(App[None]):
                 source.state.pixels(self._car), area.width, area.height))
             self._put('values', painting.drive(shown))
         if everything or self._pane == 'nodes':
-            self._put('nodes-text', painting.nodes(shown))
+            self._put('nodes-text', painting.nodes(
+                shown, self.query_one('#nodes').content_size.width))
         if everything or self._pane == 'topics':
             self._put('topics-text', painting.topics(shown))
         if everything or self._pane == 'plots':

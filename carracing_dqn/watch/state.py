@@ -35,6 +35,8 @@ LOOK_SECONDS, ASK_SECONDS = 8.0, 60.0
 RUNNING, GONE, SILENT, UNKNOWN = 'running', 'gone', 'silent', 'says nothing'
 # a node of ours speaks once a second; on a busy machine it may be late
 SILENT_SECONDS = 8.0
+# a watch that has not looked for so long has itself been held up, and heard nobody
+HELD_UP_SECONDS = 2.0
 
 
 class WatchState:
@@ -67,6 +69,7 @@ class WatchState:
         self.playing: dict[str, Any] = {}
         self._roles: dict[str, tuple[Car, str]] = {}
         self._began = math.inf
+        self._looked_at = self._held_up_at = -math.inf
         self._lock = threading.RLock()
 
     # --- from the source
@@ -126,6 +129,9 @@ class WatchState:
     def look(self, now: float) -> None:
         """Decode what is newest; to be called some times a second."""
         with self._lock:
+            if now - self._looked_at > HELD_UP_SECONDS:
+                self._held_up_at = now
+            self._looked_at = now
             for car in self.cars.values():
                 car.look(now)
 
@@ -180,7 +186,7 @@ class WatchState:
         listed = node.listed_at is not None and (
             not self._graph_seen() or node.listed_at >= self._graph_seen() - 0.1)
         spoke = node.heard_at is not None
-        fresh = spoke and now - node.heard_at < SILENT_SECONDS
+        fresh = spoke and now - max(node.heard_at, self._held_up_at) < SILENT_SECONDS
         if not listed and not fresh:
             return GONE
         if fresh:
@@ -195,7 +201,8 @@ class WatchState:
             return False
         asked = (node for name, node in self.nodes.items()
                  if (node.is_policy or node.is_simulator) and name not in self.parameters)
-        return now - self._began < LOOK_SECONDS or any(
+        heard = any(node.heard_at is not None for node in self.nodes.values())
+        return not heard or now - self._began < LOOK_SECONDS or any(
             now - node.since < ASK_SECONDS for node in asked)
 
     def _graph_seen(self) -> float:
