@@ -188,5 +188,7 @@ def _table(*columns: str) -> Table:
     table = Table(box=None, expand=True, padding=(0, 1, 0, 0))
     for name in columns:
         table.add_column(name, overflow='fold', no_wrap=name in ('is', 'Hz', 's ago'),
-                         justify='right' if name in ('Hz', 's ago') else 'left')
+                         justify='right' if name in ('Hz', 's ago') else 'left',
+                         # these share what room there is
+                         ratio=1 if name in ('says', 'from', 'to') else None)
     return table
