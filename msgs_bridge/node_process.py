@@ -191,7 +191,9 @@ def _spin_to_the_end(make_node: Callable[[], Any], arguments: list[str]) -> bool
     except Finished:
         return True
     except (KeyboardInterrupt, ExternalShutdownException):
-        pass
+        # what the signal cut off half made, in the middle of a constructor of rclpy, cannot be
+        # destroyed, and would say so with a traceback
+        sys.unraisablehook = lambda _: None
     except Exception:
         # a signal in the middle of any call of rclpy makes it fail, sooner than rclpy knows of it
         time.sleep(SHUTDOWN_SECONDS)
