@@ -26,12 +26,16 @@ from rclpy.signals import SignalHandlerOptions
 
 ROOT = Path(__file__).resolve().parents[1]
 
+# Waits are as long as a quiet machine could need; one that runs other things as well gets so many
+# times as long. A wait costs time only where it fails.
+PATIENCE = 3
+
 
 def carracing(*words: str, timeout: float = 60, **options: object) -> subprocess.CompletedProcess:
     """Run the real command and return what it said."""
     return subprocess.run(
         [sys.executable, '-m', 'carracing_dqn.bringup', *words], capture_output=True, text=True,
-        timeout=timeout, cwd=ROOT, **options)
+        timeout=PATIENCE * timeout, cwd=ROOT, **options)
 
 
 def start_carracing(*words: str) -> subprocess.Popen:
@@ -43,6 +47,7 @@ def start_carracing(*words: str) -> subprocess.Popen:
 
 def wait_for(condition, seconds: float, what: str) -> None:
     """Wait until a condition holds."""
+    seconds *= PATIENCE
     deadline = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < deadline, f'{what} within {seconds} s'
@@ -89,6 +94,7 @@ class Graph(ProcessGroup):
 
     def spin_until(self, condition, seconds: float, what: str) -> None:
         """Take messages until a condition holds."""
+        seconds *= PATIENCE
         deadline = time.monotonic() + seconds
         while not condition():
             assert time.monotonic() < deadline, f'{what} within {seconds} s; {self.last_words()}'

@@ -316,7 +316,7 @@ def test_what_is_wrong_ends_the_node_with_one_line(tmp_path, module, parameters,
     command = [sys.executable, '-m', module, '--ros-args']
     for parameter in parameters:
         command += ['-p', parameter.format(folder=tmp_path)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=20, cwd=ROOT)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, cwd=ROOT)
     assert done.returncode == 2
     assert done.stderr.startswith('error: ')
     assert told in done.stderr

@@ -77,7 +77,7 @@ def test_what_is_done_with_a_long_bag_is_shown_and_leaves_an_empty_line(terminal
     assert said.startswith('transitions: ')
     assert verify.process.wait(20) == 0
     # and nothing but the result where nobody looks
-    piped = subprocess.run(command, capture_output=True, text=True, timeout=100)
+    piped = subprocess.run(command, capture_output=True, text=True, timeout=300)
     assert piped.stderr == '' and piped.stdout.startswith('transitions: ')
 
 

@@ -64,7 +64,7 @@ def node_of(process, module):
 def stop(process, number=signal.SIGINT):
     """Stop a command as a user would; return what it said."""
     process.send_signal(number)
-    said, _ = process.communicate(timeout=60)
+    said, _ = process.communicate(timeout=180)
     return said
 
 
@@ -106,7 +106,7 @@ def test_a_node_that_dies_ends_the_run_with_its_name_and_the_run_can_go_on(prese
         checkpoint = RunFolder(run).checkpoint
         wait_for(lambda: checkpoint.exists() and decisions(run) > 50, 60, 'a checkpoint')
         os.kill(node_of(process, 'trainer_node'), signal.SIGKILL)
-        said, _ = process.communicate(timeout=20)
+        said, _ = process.communicate(timeout=60)
     finally:
         process.kill()
     assert process.returncode == 2
