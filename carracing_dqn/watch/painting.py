@@ -10,7 +10,7 @@ from typing import Any
 from PIL import Image
 import numpy as np
 from rich.color import Color
-from rich.console import Console, Group
+from rich.console import Console
 from rich.style import Style
 from rich.table import Table
 from rich.text import Text
@@ -21,8 +21,6 @@ LEVELS = {'ok': 'green', 'warn': 'yellow', 'error': 'red'}
 BAD_STATES = ('gone', 'silent')
 # columns of a bar of a Q-value
 BAR_WIDTH = 12
-# more than all that is wrong can need
-ALL_LINES = 1000
 
 
 def picture(pixels: np.ndarray | None, columns: int, rows: int) -> Text:
@@ -109,15 +107,15 @@ def drive(shown: dict[str, Any]) -> Text:
     return text
 
 
-def nodes(shown: dict[str, Any], columns: int) -> Group:
-    """Return the nodes with their health, and everything that is wrong."""
+def nodes(shown: dict[str, Any]) -> Table:
+    """Return the nodes with their health."""
     table = _table('node', 'is', 'says', 's ago')
     for node in shown['nodes']:
         state = node['level'] if node['state'] == 'running' else node['state']
         style = 'red' if state in BAD_STATES else LEVELS.get(state, 'dim')
         table.add_row(Text(node['name']), Text(state, style), Text(node['summary']),
                       Text(number(node['age'], 1), justify='right'))
-    return Group(table, Text(), causes(shown, columns, ALL_LINES))
+    return table
 
 
 def topics(shown: dict[str, Any]) -> Table:

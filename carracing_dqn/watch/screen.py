@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from rich.console import Group
 from rich.text import Text
 from textual.app import App, ComposeResult
 from textual.binding import Binding
@@ -23,6 +24,8 @@ SHOW_SECONDS = 0.4
 WIDE, HIGH = 120, 38
 # lines of what is wrong, on a small screen and on one with room
 CAUSE_LINES, MANY_LINES = 6, 10
+# more than all that is wrong can need
+ALL_LINES = 1000
 EPSILON_STEP = 0.05
 PANES = ('drive', 'nodes', 'topics', 'plots')
 ALL_COMMANDS = {*COMMANDS, *BAG_COMMANDS}
@@ -122,8 +125,9 @@ class Screen(App[None]):
                 source.state.pixels(self._car), area.width, area.height))
             self._put('values', painting.drive(shown))
         if everything or self._pane == 'nodes':
-            self._put('nodes-text', painting.nodes(
-                shown, self.query_one('#nodes').content_size.width))
+            width = self.query_one('#nodes').content_size.width
+            self._put('nodes-text', Group(
+                painting.nodes(shown), Text(), painting.causes(shown, width, ALL_LINES)))
         if everything or self._pane == 'topics':
             self._put('topics-text', painting.topics(shown))
         if everything or self._pane == 'plots':
