@@ -254,7 +254,7 @@ def test_a_sqlite3_bag_written_by_rosbags_is_read_and_played_remapped(graph, tmp
                         remaps=f'{space}/words:={space}/spoken')
     graph.spin_until(lambda: len(heard) == 20, 10, 'words')
     assert [one.data for one in heard] == [f'word {number}' for number in range(20)]
-    assert player.process.wait(5) == 0
+    assert player.process.wait(30) == 0
 
 
 def test_offset_duration_loop_and_clock(graph, tmp_path):
@@ -296,7 +296,7 @@ def test_pause_and_step_services(graph, tmp_path):
     future = pause.call_async(SetBool.Request(data=False))
     graph.spin_until(future.done, 5, 'answer')
     graph.spin_until(lambda: len(heard) == 20, 5, 'the rest')
-    assert player.process.wait(5) == 0
+    assert player.process.wait(30) == 0
 
 
 @pytest.mark.parametrize(('module', 'parameters', 'told'), [
@@ -443,7 +443,7 @@ def test_what_waits_in_dds_when_a_recorder_is_stopped_is_in_the_bag(graph, tmp_p
         publishers[1].publish(graph_twist())
     recorder.process.send_signal(signal.SIGTERM)
     recorder.process.send_signal(signal.SIGCONT)
-    assert recorder.process.wait(5) == 0
+    assert recorder.process.wait(30) == 0
     assert any('lost: none' in line for line in said(recorder)), said(recorder)
     with BagReader(tmp_path / 'bag') as reader:
         for name in ('step', 'cmd_vel'):
@@ -494,7 +494,7 @@ def test_a_recorder_that_is_stopped_without_its_bag_does_not_call_that_a_success
     remove(recorder, tmp_path / 'bag')
     recorder.process.send_signal(signal.SIGINT)
     recorder.process.send_signal(signal.SIGCONT)
-    assert recorder.process.wait(5) == 2
+    assert recorder.process.wait(30) == 2
     assert sum('was removed' in line for line in said(recorder)) == 1
 
 
@@ -696,7 +696,7 @@ def test_what_a_node_published_last_is_in_the_bag_though_the_recorder_was_busy(g
     wait_for(lambda: 'over' in said(speaker), 10, 'the last message')
     time.sleep(0.3)
     recorder.process.send_signal(signal.SIGCONT)
-    assert speaker.process.wait(10) == 0
+    assert speaker.process.wait(30) == 0
     assert stop(recorder) == 0
     with BagReader(tmp_path / 'bag') as reader:
         assert reader.topics[f'/{graph.namespace}/cmd_vel'].message_count == 1500

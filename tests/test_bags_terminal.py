@@ -64,7 +64,7 @@ def test_a_player_that_is_quit_gives_the_terminal_back(terminal, tmp_path):
     player.until('waiting for subscribers')
     assert not player.given_back
     player.type(b'q')
-    assert player.process.wait(10) == 0 and player.given_back
+    assert player.process.wait(30) == 0 and player.given_back
 
 
 def test_what_is_done_with_a_long_bag_is_shown_and_leaves_an_empty_line(terminal, tmp_path):
@@ -87,5 +87,5 @@ def test_what_a_recorder_has_stands_in_one_line(terminal, tmp_path):
     line = recorder.until(r'waits for /line/none_there: nobody publishes that[^\r]*\x1b\[K')
     assert len(line.group()) < WIDTH
     recorder.process.send_signal(signal.SIGINT)
-    assert recorder.process.wait(10) == 0
+    assert recorder.process.wait(30) == 0
     assert recorder.until('0 messages in ')
