@@ -182,8 +182,7 @@ def _camera_or_twist(type_name: str) -> bool:
 
 
 def _hearers(topic: Any) -> list[Any]:
-    return [end for end in topic.ends.subscriptions
-            if end.node.rpartition('/')[2] not in RECORDERS]
+    return [end for end in topic.ends.subscriptions if _base(end.node) not in RECORDERS]
 
 
 def _pairs(state: WatchState) -> Iterator[tuple[Car, Node | None, Node | None, dict]]:
