@@ -1,6 +1,8 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
 """A node as a process: its arguments, its parameter files, its signals."""
+import importlib.abc
+import runpy
 import signal
 import subprocess
 import sys
@@ -118,3 +120,15 @@ def test_signals_end_it_well(number):
     process.send_signal(number)
     assert process.wait(20) == 0
     assert process.stdout.read().endswith('closed\n')
+
+
+@pytest.mark.parametrize('package', ['carracing_sim_node', 'dqn_policy_node', 'trainer_node'])
+def test_a_node_that_is_stopped_while_it_imports_says_nothing(monkeypatch, package):
+    class Stopped(importlib.abc.MetaPathFinder):
+        def find_spec(self, name, path, target=None):
+            if name == f'{package}.node':
+                raise KeyboardInterrupt
+
+    monkeypatch.delitem(sys.modules, f'{package}.node', raising=False)
+    monkeypatch.setattr(sys, 'meta_path', [Stopped(), *sys.meta_path])
+    runpy.run_module(package, run_name='__main__')

@@ -4,7 +4,7 @@
 import json
 
 from bag_cases import bundle, image, serialized, stamp_of, TYPES, twist
-from carracing_dqn.watch import painting
+from carracing_dqn.watch import causes, painting
 from carracing_dqn.watch.car import MAX_SMALL_BYTES
 from carracing_dqn.watch.graph_parts import End, Misfit, RATE_SECONDS, Topic, TopicEnds
 from carracing_dqn.watch.series import KEPT_SECONDS, MAX_NAMES, SeriesTable
@@ -239,6 +239,20 @@ def test_nothing_is_said_to_be_well_before_it_has_been_seen():
     for node in NODES:
         state.take_parameters(node, {})
     assert not state.snapshot(now)['looking']
+
+
+def test_a_judge_that_fails_is_told_of_and_the_others_go_on(monkeypatch):
+    def _odd(state, now):
+        yield causes.Cause('before', '/it', 'is dropped')
+        raise ValueError('odd\x1b[2J' * 1000)
+
+    state = WatchState('test')
+    drive(state, extra=(health(RECORDER, 'the disk is full', level=2),))
+    assert kinds(state, 0.0) == ['error']
+    monkeypatch.setattr(causes, 'JUDGES', (_odd, *causes.JUDGES))
+    other, failed = state.snapshot(0.0)['causes']
+    assert (other['kind'], failed['kind'], failed['where']) == ('error', 'watch', 'odd')
+    assert 'ValueError: odd?[2J' in failed['text'] and len(failed['text']) <= causes.MAX_REASON
 
 
 @pytest.mark.parametrize('rows', [3, 6, 9])

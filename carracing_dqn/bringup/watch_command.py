@@ -12,6 +12,7 @@ import time
 
 from carracing_dqn.watch.source import Source
 from msgs_bridge.errors import BridgeError
+from msgs_bridge.plain_text import plain
 from msgs_bridge.terminal import say
 from rich.console import Console
 
@@ -44,7 +45,7 @@ def main(arguments: argparse.Namespace) -> int:
         raise BridgeError('a screen needs a terminal; --browser serves a page, --json prints')
     os.nice(NICE)
     if arguments.json is None and not arguments.browser:
-        say(Console(), 'carracing watch: looking at the graph')
+        say(Console(), f'carracing watch: looking at {plain(arguments.bag or "the graph")}')
     source = _source(arguments)
     try:
         if arguments.json is not None:

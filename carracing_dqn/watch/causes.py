@@ -8,7 +8,7 @@ them, worst first. To know another fault is to add a function.
 """
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 import math
 from typing import Any, NamedTuple, TYPE_CHECKING
 
@@ -18,12 +18,14 @@ from carracing_dqn.watch.car import Car, IMAGE_TYPES, TWIST_TYPES
 from carracing_dqn.watch.graph_parts import End, Node
 from msgs_bridge.health import ERROR, WARN
 from msgs_bridge.images import ENCODINGS
+from msgs_bridge.plain_text import plain
 from msgs_bridge.topics import CMD_VEL, IMAGE
 
 if TYPE_CHECKING:
     from carracing_dqn.watch.state import WatchState
 
 MOST_CAUSES = 30
+MAX_REASON = 200
 # how much longer than a model holds an action the next image may come
 RATE_TOLERANCE = 0.15
 # colours of a part of the picture that are nearer than this are the same, of 255
@@ -58,7 +60,7 @@ def causes(state: WatchState, now: float) -> list[Cause]:
     """Return what is wrong, worst first, each once."""
     found: dict[tuple[str, str], Cause] = {}
     for judge in JUDGES:
-        for cause in judge(state, now):
+        for cause in _judged(judge, state, now):
             if any(cause.text in other.text for other in found.values()
                    if other.where == cause.where):
                 # a judge before has said it, and what it means
@@ -67,6 +69,18 @@ def causes(state: WatchState, now: float) -> list[Cause]:
             if len(found) >= MOST_CAUSES:
                 return list(found.values())
     return list(found.values())
+
+
+def _judged(
+    judge: Callable[[WatchState, float], Iterator[Cause]], state: WatchState, now: float,
+) -> list[Cause]:
+    """Return what a judge finds; one that fails is told of, and the others go on."""
+    try:
+        return list(judge(state, now))
+    except Exception as error:
+        # all that it looks at came over a wire
+        return [Cause('watch', judge.__name__.strip('_'), plain(
+            f'this look at the graph failed: {type(error).__name__}: {error}', MAX_REASON))]
 
 
 def _disk(state: WatchState, now: float) -> Iterator[Cause]:
