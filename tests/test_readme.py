@@ -1,6 +1,7 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
 """README and the pages say what the code says, and lead where they say."""
+import json
 from pathlib import Path
 import re
 
@@ -58,6 +59,15 @@ def test_the_readme_is_a_first_page():
     assert len(README.read_text(encoding='utf-8').splitlines()) <= 120
     assert '<!-- table' not in README.read_text(encoding='utf-8')
     assert (ROOT / 'docs' / 'images' / 'lap.webp').stat().st_size <= 700_000
+
+
+@pytest.mark.parametrize('model', ['racing', 'report'])
+@pytest.mark.parametrize('page', ['README.md', 'docs/learning.md', 'docs/seed_document.md'])
+def test_what_a_shipped_model_earned_is_that_of_its_record(page, model):
+    record = json.loads((ROOT / 'models' / model / 'record' / 'evaluation.json').read_text())
+    mean, std = (record['statistics'][name] for name in ('mean', 'std'))
+    said = re.findall(r'\b\d{3}(?:\.\d+)? ± \d+(?:\.\d+)?', (ROOT / page).read_text('utf-8'))
+    assert any(f'{mean:.{digits}f} ± {std:.{digits}f}' in said for digits in range(3))
 
 
 def test_the_index_lists_every_page_under_one_kind():
