@@ -2,8 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The replay buffer, against a plain list of episodes."""
 from hypothesis import given, settings, strategies
+from msgs_bridge.errors import SettingsError
 import numpy as np
 import pytest
+from trainer_node.augmentation import augment
+from trainer_node.hyperparameters import Hyperparameters
 from trainer_node.replay_buffer import ReplayBuffer
 from trainer_node.stack_gather import gather_stacks
 
@@ -133,17 +136,40 @@ def test_stacks_are_read_in_order_and_channels_last(stack):
     assert np.array_equal(out.transpose(0, 3, 1, 2), observations[slots])
 
 
-def test_flips_mirror_observations_and_actions_together():
-    buffer = ReplayBuffer(100, (1, 2), mirror=np.array([0, 2, 1], np.uint8).__getitem__)
+def augmented(count, **settings):
+    """Return a batch of one transition from (10, 20) to (30, 200), many times, augmented."""
+    buffer = ReplayBuffer(100, (1, 2))
     buffer.start(np.array([[10, 20]], np.uint8))
-    buffer.add(1, 1.0, np.array([[30, 40]], np.uint8), terminated=False)
-    batch = buffer.sample(200, np.random.default_rng(0))
-    flipped = batch.actions == 2
-    assert 60 < flipped.sum() < 140
+    buffer.add(1, 1.0, np.array([[30, 200]], np.uint8), terminated=False)
+    random = np.random.default_rng(0)
+    return augment(buffer.sample(count, random), Hyperparameters(**settings), random)
+
+
+def test_flips_mirror_observations_and_actions_together():
+    batch = augmented(200, flips=True)
+    flipped = batch.actions != 1
+    assert 60 < flipped.sum() < 140 and len(set(batch.actions[flipped])) == 1
     for index in range(200):
-        expected_pair = ([[20, 10]], [[40, 30]]) if flipped[index] else ([[10, 20]], [[30, 40]])
+        expected_pair = ([[20, 10]], [[200, 30]]) if flipped[index] else ([[10, 20]], [[30, 200]])
         assert batch.observations[index, 0].tolist() == expected_pair[0]
         assert batch.next_observations[index, 0].tolist() == expected_pair[1]
+
+
+def test_brightness_is_one_factor_for_both_observations_of_a_sample():
+    batch = augmented(500, brightness=0.4)
+    before, after = batch.observations[:, 0, 0], batch.next_observations[:, 0, 0]
+    factors = after[:, 0] / 30
+    assert factors.min() < 0.65 and factors.max() > 1.35 and len(np.unique(factors)) > 15
+    for column, level in ((before[:, 0], 10), (before[:, 1], 20)):
+        assert np.abs(column - level * factors).max() <= 1
+    assert np.abs(after[:, 1] - np.minimum(200 * factors, 255)).max() <= 4
+    assert after[:, 1].max() == 255
+    assert (batch.actions == 1).all()
+
+
+def test_brightness_does_not_go_with_a_road_that_is_known_by_its_levels():
+    with pytest.raises(SettingsError, match='road: contrast reads exact levels'):
+        Hyperparameters(brightness=0.1, road='contrast')
 
 
 def test_a_restored_buffer_samples_the_same():

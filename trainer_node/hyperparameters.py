@@ -114,6 +114,9 @@ class Hyperparameters:
         'decision (Nature 518, 529)', low=0.01, high=1000.0)
     flips: bool = setting(
         False, 'mirror half of the samples left to right (AMD-RIPS 2018)')
+    brightness: float = setting(
+        0.0, 'share by which each sample is made brighter or darker at most, for cameras whose '
+        'exposure changes; with road: plain only', low=0.0, high=0.9)
 
     demonstrations: str = setting(
         '', 'file of demonstrations, its path seen from the run folder; `carracing train '
@@ -286,6 +289,10 @@ class Hyperparameters:
                 f'learner {self.learner!r} knows no margin of demonstrations; those that do: '
                 + ', '.join(name for name, entry in LEARNERS.items() if entry.margin)
                 + '; without it: demonstration_weight=0')
+        if self.brightness and self.road != 'plain':
+            raise SettingsError(
+                f'brightness is {self.brightness:g}, but road: {self.road} reads exact levels, '
+                'which other brightness moves; road: plain goes with it')
         if self.epsilon_end > self.epsilon_start:
             raise SettingsError(f'epsilon_end {self.epsilon_end} is above epsilon_start '
                                 f'{self.epsilon_start}')

@@ -21,6 +21,7 @@ from dqn_policy_node.preprocessing import Preprocessor
 from msgs_bridge.errors import MessageError
 from msgs_bridge.transitions import Transition
 from trainer_node import schedules
+from trainer_node.augmentation import augment
 from trainer_node.demonstrations import Demonstrations
 from trainer_node.errors import LearningError
 from trainer_node.hyperparameters import Hyperparameters
@@ -217,7 +218,8 @@ class Learning:
         """
         self._learning_rate.progressed(progress)
         pretraining = self.pretraining
-        figures = self.learner.update(self._sample(pretraining), self._learning_rate.value)
+        batch = augment(self._sample(pretraining), self.settings, self._random)
+        figures = self.learner.update(batch, self._learning_rate.value)
         if not pretraining:
             self.limiter.sampled()
         return figures

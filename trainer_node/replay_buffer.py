@@ -15,7 +15,6 @@ each in proportion to what it has sent.
 """
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -57,8 +56,6 @@ class ReplayBuffer:
         n_steps: rewards that are added up before bootstrapping.
         gamma: discount of one step.
         action_dtype, action_shape: of an encoded action (`dqn_policy_node.action_space`).
-        mirror: exchanges left and right in encoded actions, to flip half of the samples; None
-            never does.
     """
 
     _ARRAYS = ('actions', 'rewards', 'terminated', 'acted', 'ages')
@@ -68,14 +65,12 @@ class ReplayBuffer:
         self, capacity: int, shape: tuple[int, int], *, frame_stack: int = 1, n_steps: int = 1,
         gamma: float = 0.99, action_dtype: np.dtype | type = np.uint8,
         action_shape: tuple[int, ...] = (),
-        mirror: Callable[[np.ndarray], np.ndarray] | None = None,
     ) -> None:
         """Reserve the memory; pages are taken as they are filled."""
         self.capacity = capacity
         self.frame_stack = frame_stack
         self.n_steps = n_steps
         self.gamma = gamma
-        self._mirror = mirror
         self._observations = np.empty((capacity, *shape), np.uint8)
         self._actions = np.zeros((capacity, *action_shape), action_dtype)
         self._rewards = np.zeros(capacity, np.float32)
@@ -156,15 +151,10 @@ class ReplayBuffer:
         numbers = self._draw(batch_size, random)
         rewards, discounts, after = self._look_ahead(numbers)
         slots = numbers % self.capacity
-        actions = self._actions[slots]
         observations = self._stacks(np.concatenate([slots, after]))
-        if self._mirror is not None:
-            flipped = random.random(batch_size) < 0.5
-            actions[flipped] = self._mirror(actions[flipped])
-            both = np.concatenate([flipped, flipped])
-            observations[both] = observations[both][..., ::-1]
         return Batch(
-            observations[:batch_size], actions, rewards, observations[batch_size:], discounts)
+            observations[:batch_size], self._actions[slots], rewards, observations[batch_size:],
+            discounts)
 
     def _draw(self, count: int, random: np.random.Generator) -> np.ndarray:
         """Return numbers of slots that hold an action and a whole stack, int64 (count,)."""
@@ -303,7 +293,7 @@ def make_replay(settings: Hyperparameters, capacity: int) -> ReplayBuffer:
     return ReplayBuffer(
         capacity, description.preprocessing.shape, frame_stack=settings.frame_stack,
         n_steps=settings.n_steps, gamma=settings.gamma, action_dtype=space.dtype,
-        action_shape=space.shape, mirror=space.mirror if settings.flips else None)
+        action_shape=space.shape)
 
 
 def sample_both(
