@@ -1,25 +1,23 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
 """CarRacing-v3, equal to gymnasium's to the byte and several times faster."""
+from __future__ import annotations
 
-from carracing_sim_node.environment import CarRacingEnvironment
-from carracing_sim_node.environment import make_env
-from carracing_sim_node.errors import EpisodeError
-from carracing_sim_node.errors import InvalidActionError
-from carracing_sim_node.errors import InvalidVariantError
-from carracing_sim_node.errors import RendererUnavailableError
-from carracing_sim_node.errors import SimulatorError
-from carracing_sim_node.facts import Facts
-from carracing_sim_node.renderer import RendererWarning
+from msgs_bridge.lazy_names import lazy_names
 
-__all__ = [
-    'CarRacingEnvironment',
-    'EpisodeError',
-    'Facts',
-    'InvalidActionError',
-    'InvalidVariantError',
-    'RendererUnavailableError',
-    'RendererWarning',
-    'SimulatorError',
-    'make_env',
-]
+# imported on first use, because gymnasium takes a second to load
+_PLACES = {
+    'CarRacingEnvironment': 'environment',
+    'EpisodeError': 'errors',
+    'Facts': 'facts',
+    'InvalidActionError': 'errors',
+    'InvalidVariantError': 'errors',
+    'RendererUnavailableError': 'errors',
+    'RendererWarning': 'renderer',
+    'SimulatorError': 'errors',
+    'make_env': 'environment',
+}
+
+__all__ = list(_PLACES)
+
+__getattr__ = lazy_names(__name__, _PLACES)

@@ -1,11 +1,11 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
 """`python -m carracing_sim_node` runs the node."""
-import contextlib
 import sys
 
-# its imports take seconds, in which it may be stopped
-with contextlib.suppress(KeyboardInterrupt):
+from msgs_bridge.early_interrupt import ends_when_interrupted
+
+with ends_when_interrupted():
     from carracing_sim_node.node import main
 
-    sys.exit(main())
+sys.exit(main())

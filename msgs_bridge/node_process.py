@@ -40,8 +40,6 @@ SHUTDOWN_SECONDS = 0.2
 
 HELP = ('-h', '--help')
 
-STOPPED = 130
-
 
 class Finished(Exception):
     """Raised in a callback by a node whose work is done; the process ends with code 0."""
@@ -65,7 +63,7 @@ class Started:
         arguments: what followed the name of the program.
         describe_only: whether nodes are to raise `HelpWanted` instead of joining a graph.
         stopped_code: exit code of a node that a signal has stopped. It is 0, because launch calls
-            everything else a death; who must tell that from finished work sets `STOPPED`.
+            everything else a death; who must tell that from finished work sets `INTERRUPTED`.
     """
 
     arguments: Sequence[str] = ()

@@ -1,8 +1,6 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
 """A node as a process: its arguments, its parameter files, its signals."""
-import importlib.abc
-import runpy
 import signal
 import subprocess
 import sys
@@ -122,13 +120,29 @@ def test_signals_end_it_well(number):
     assert process.stdout.read().endswith('closed\n')
 
 
-@pytest.mark.parametrize('package', ['carracing_sim_node', 'dqn_policy_node', 'trainer_node'])
-def test_a_node_that_is_stopped_while_it_imports_says_nothing(monkeypatch, package):
-    class Stopped(importlib.abc.MetaPathFinder):
-        def find_spec(self, name, path, target=None):
-            if name == f'{package}.node':
-                raise KeyboardInterrupt
+IMPORTED = """
+import importlib.abc, os, runpy, signal, sys
 
-    monkeypatch.delitem(sys.modules, f'{package}.node', raising=False)
-    monkeypatch.setattr(sys, 'meta_path', [Stopped(), *sys.meta_path])
-    runpy.run_module(package, run_name='__main__')
+class Interrupting(importlib.abc.MetaPathFinder):
+    def find_spec(self, name, path, target=None):
+        if name == sys.argv[1]:
+            os.kill(os.getpid(), signal.SIGINT)
+            raise ImportError('what a compiled module makes of an interrupt')
+
+sys.meta_path.insert(0, Interrupting())
+{start}
+"""
+
+
+@pytest.mark.parametrize(('start', 'module', 'code'), [
+    *((f'runpy.run_module({package!r}, run_name="__main__")', f'{package}.node', 0)
+      for package in ('carracing_sim_node', 'dqn_policy_node', 'trainer_node')),
+    ('from carracing_dqn.bringup import start; start.trainer_node()', 'trainer_node.node', 0),
+    ('from carracing_dqn.bringup import start; start.carracing()',
+     'carracing_dqn.bringup.command', 130),
+])
+def test_what_is_interrupted_while_it_imports_says_nothing(start, module, code):
+    done = subprocess.run(
+        [sys.executable, '-c', IMPORTED.replace('{start}', start), module], cwd=ROOT,
+        capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout, done.stderr) == (code, '', '')

@@ -17,7 +17,7 @@ from carracing_dqn.bringup.graph import (
 from carracing_dqn.bringup.processes import ChildDied, node_command, ProcessGroup
 from graph_probe import wait_for
 from msgs_bridge.errors import BridgeError
-from msgs_bridge.node_process import STOPPED
+from msgs_bridge.exit_codes import INTERRUPTED
 from msgs_bridge.settings import describe
 import pytest
 from trainer_node.hyperparameters import Hyperparameters
@@ -145,7 +145,7 @@ def test_finished_work_is_code_0_and_anything_else_is_told_with_its_cause(group)
 
 
 def test_a_child_that_was_stopped_from_outside_has_not_finished(group):
-    child = start(group, 'stopped', f'time.sleep(0.2); return {STOPPED}')
+    child = start(group, 'stopped', f'time.sleep(0.2); return {INTERRUPTED}')
     child.process.wait(20)
     with pytest.raises(ChildDied, match='stopped was stopped from outside before the work'):
         group.check()
@@ -191,14 +191,14 @@ def test_those_that_save_have_time_and_others_are_killed_without_a_word(group):
         def save(*_):
             time.sleep(4)
             print('saved', flush=True)
-            sys.exit({STOPPED})
+            sys.exit({INTERRUPTED})
         signal.signal(signal.SIGINT, save)
         print('up', flush=True)
         time.sleep(60)""", keeps=True)
     wait_for(lambda: stubborn.said('up') and saving.said('up'), 20, 'both')
     group.stop()
     group.check_ends()
-    assert stubborn.code == -signal.SIGKILL and saving.code == STOPPED and saving.said('saved')
+    assert stubborn.code == -signal.SIGKILL and saving.code == INTERRUPTED and saving.said('saved')
 
 
 def test_a_child_that_could_not_save_is_told_after_the_stop(group):
@@ -232,11 +232,11 @@ def test_signals_wait_until_all_are_stopped(group):
     child = start(group, 'slow_to_end', f"""
         def end(*_):
             time.sleep(1)
-            sys.exit({STOPPED})
+            sys.exit({INTERRUPTED})
         signal.signal(signal.SIGINT, end)
         print('up', flush=True)
         time.sleep(60)""", keeps=True)
     wait_for(lambda: child.said('up'), 20, 'it')
     subprocess.Popen(['sh', '-c', f'sleep 0.3; kill -INT {os.getpid()}'])
     group.stop()
-    assert child.code == STOPPED
+    assert child.code == INTERRUPTED

@@ -18,6 +18,7 @@ import shutil
 import sys
 
 from msgs_bridge.errors import BridgeError
+from msgs_bridge.exit_codes import ERROR
 from msgs_bridge.plain_text import plain
 from trainer_node.errors import RunError
 from trainer_node.observation_blocks import is_block
@@ -74,7 +75,7 @@ def main(words: list[str] | None = None) -> int:
         copy_without_replay(arguments.run, arguments.copy)
     except BridgeError as error:
         sys.stderr.write(f'error: {plain(error, 1000)}\n')
-        return 2
+        return ERROR
     return 0
 
 

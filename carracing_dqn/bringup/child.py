@@ -50,8 +50,9 @@ def main() -> int:
     if hasattr(module, '__path__'):
         # as its __main__ does
         module = importlib.import_module(f'{arguments.module}.node')
-    from msgs_bridge.node_process import STARTED, STOPPED
-    STARTED.stopped_code = STOPPED if arguments.supervised else 0
+    from msgs_bridge.exit_codes import INTERRUPTED
+    from msgs_bridge.node_process import STARTED
+    STARTED.stopped_code = INTERRUPTED if arguments.supervised else 0
     # only now, so that a relative place of the modules still holds while they are imported
     os.chdir(arguments.folder)
     sys.argv = [arguments.module, *words]
@@ -59,7 +60,7 @@ def main() -> int:
     try:
         return module.main() or 0
     except KeyboardInterrupt:
-        return STOPPED
+        return INTERRUPTED
 
 
 if __name__ == '__main__':

@@ -11,7 +11,9 @@ import signal
 import sys
 from typing import NoReturn
 
+from msgs_bridge.early_interrupt import ends_when_interrupted
 from msgs_bridge.errors import BridgeError
+from msgs_bridge.exit_codes import ERROR, INTERRUPTED, READER_GONE
 from msgs_bridge.machine import code_version
 from msgs_bridge.plain_text import plain
 
@@ -49,9 +51,6 @@ NODES_THEMSELVES = ('bag',)
 MAX_ERROR = 1000
 """Characters of an error; paths may be long."""
 
-ERROR = 2
-INTERRUPTED = 128 + signal.SIGINT
-READER_GONE = 128 + signal.SIGPIPE
 
 
 class Parser(argparse.ArgumentParser):
@@ -103,7 +102,8 @@ def _run(words: list[str]) -> int:
         subparser = subparsers.add_parser(name, help=text, description=text)
         # only the module that is asked for is imported: torch alone takes seconds
         if words[:1] == [name]:
-            module = importlib.import_module(module_name)
+            with ends_when_interrupted(INTERRUPTED):
+                module = importlib.import_module(module_name)
             module.add_arguments(subparser)
     arguments = parser.parse_args(words)
     if arguments.subcommand is None:

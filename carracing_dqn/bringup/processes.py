@@ -18,7 +18,7 @@ from typing import Any
 
 from carracing_dqn.bringup.graph import Graph, RECORDER, SIMULATOR
 from msgs_bridge.errors import BridgeError
-from msgs_bridge.node_process import STOPPED
+from msgs_bridge.exit_codes import INTERRUPTED
 from msgs_bridge.plain_text import plain
 
 LAST_WORDS = 12
@@ -57,7 +57,7 @@ def node_command(
         namespace: ROS namespace; empty for none.
         nice: how much of its share of the processor it leaves to others.
         folder: its current folder.
-        supervised: whether it ends with `STOPPED`, not with 0, when a signal stops it.
+        supervised: whether it ends with `INTERRUPTED`, not with 0, when a signal stops it.
         remaps: what its topics are called instead.
     """
     command = [
@@ -134,7 +134,9 @@ class Child:
     @property
     def failed(self) -> bool:
         """Return whether it has ended otherwise than by finishing, or by being asked to stop."""
-        accepted = (None, 0, STOPPED, -signal.SIGINT, -signal.SIGKILL) if self.asked else (None, 0)
+        accepted = (None, 0)
+        if self.asked:
+            accepted += (INTERRUPTED, -signal.SIGINT, -signal.SIGKILL)
         return self.code not in accepted
 
     def said(self, text: str) -> bool:
@@ -150,7 +152,7 @@ class Child:
         """Return in one line how it ended and why, as far as it has said so."""
         self._reader.join(timeout=1.0)
         code = self.code
-        if code == STOPPED:
+        if code == INTERRUPTED:
             return f'{self.name} was stopped from outside before the work was done'
         ended = f'signal {signal.Signals(-code).name}' if code < 0 else f'exit code {code}'
         # a node that gives up says why in such a line; a traceback has the reason in its last,

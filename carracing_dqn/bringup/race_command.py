@@ -26,6 +26,7 @@ from carracing_dqn.simulation import make_simulator
 from carracing_dqn.simulation.registry import DEFAULT
 from carracing_dqn.teleop.rivals import Rival, write_rivals
 from msgs_bridge.errors import BridgeError
+from msgs_bridge.exit_codes import INTERRUPTED
 from msgs_bridge.machine import describe_machine
 from msgs_bridge.simulator import Simulator
 from rich.console import Console
@@ -35,7 +36,6 @@ from rich.text import Text
 PERSON = 'person'
 MOST_LAPS = 100
 RIVALS = 'rivals.json'
-INTERRUPTED = 130
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -8,7 +8,8 @@ import importlib
 import resource
 import sys
 
-from carracing_dqn.bringup.command import ERROR, INTERRUPTED, missing_package
+from msgs_bridge.early_interrupt import ends_when_interrupted
+from msgs_bridge.exit_codes import ERROR, INTERRUPTED
 
 FEWEST_FILES = 32
 """Files that a node must be able to have open at once: 26 before its first topic."""
@@ -25,12 +26,12 @@ def _starting(module: str, interrupted: int = 0) -> Callable[[], int]:
                       f'`ulimit -n {ENOUGH_FILES}` allows more')
         else:
             try:
-                return importlib.import_module(module).main()
+                with ends_when_interrupted(interrupted):
+                    imported = importlib.import_module(module)
+                return imported.main()
             except ModuleNotFoundError as error:
+                from carracing_dqn.bringup.command import missing_package
                 reason = missing_package(error)
-            except KeyboardInterrupt:
-                # stopped before it had begun
-                return interrupted
         sys.stderr.write(f'error: {reason}\n')
         return ERROR
 

@@ -24,6 +24,7 @@ from carracing_dqn.evaluation.results import Results, resume, RUNS, write_csv, w
 from carracing_dqn.evaluation.through_graph import drive_laps_through_graph, RunGraph
 from carracing_dqn.evaluation.workers import limit_torch_threads
 from carracing_dqn.simulation import find_simulator, simulator_names
+from msgs_bridge.exit_codes import INTERRUPTED
 from msgs_bridge.machine import cores, describe_machine
 from msgs_bridge.terminal import say
 from rich.console import Console
@@ -36,7 +37,6 @@ KEPT_IN = 'RUN/evaluation-<time>.json, without a run runs/evaluate-<policy>-<tim
 
 LARGEST_SEED = 2**31 - 1
 MOST_REPEATS = 50
-INTERRUPTED = 130
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -16,13 +16,13 @@ from carracing_dqn.studies.search import Search
 from carracing_dqn.studies.study_file import (
     Arm, find_study, load_study, plan, PlannedRun, Study, study_names,
 )
+from msgs_bridge.exit_codes import INTERRUPTED
 from msgs_bridge.machine import cores
 from msgs_bridge.terminal import say
 from rich.console import Console
 from trainer_node.run_folder import RunFolder
 
 OUTPUT = Path('runs') / 'studies'
-INTERRUPTED = 130
 FAILED = 1
 
 

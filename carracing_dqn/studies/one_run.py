@@ -26,6 +26,7 @@ from carracing_dqn.studies.errors import StudyError
 from carracing_dqn.studies.one_process import learn
 from carracing_dqn.studies.study_file import BEST, FINAL
 from msgs_bridge.errors import BridgeError
+from msgs_bridge.exit_codes import ERROR, INTERRUPTED
 from msgs_bridge.machine import describe_machine
 from msgs_bridge.plain_text import plain
 from trainer_node.hyperparameters import Hyperparameters, load_preset
@@ -34,7 +35,6 @@ from trainer_node.run_folder import RunFolder
 
 PLAN = 'plan.yaml'
 LAPS = 'evaluation.json'
-STOPPED = 130
 # laps between two writings of their file
 LAPS_KEPT = 5
 
@@ -129,8 +129,8 @@ def main(argv: list[str] | None = None) -> int:
                 arguments.model, stop)
     except (BridgeError, OSError, MemoryError) as error:
         sys.stderr.write(f'error: {plain(error, 1000) or type(error).__name__}\n')
-        return 2
-    return STOPPED if stop() else 0
+        return ERROR
+    return INTERRUPTED if stop() else 0
 
 
 if __name__ == '__main__':

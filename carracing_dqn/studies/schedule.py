@@ -19,10 +19,11 @@ import sys
 import time
 
 from carracing_dqn.evaluation.workers import THREAD_VARIABLES
-from carracing_dqn.studies.one_run import PLAN, STOPPED
+from carracing_dqn.studies.one_run import PLAN
 from carracing_dqn.studies.study_file import PlannedRun, StudySettings
 from msgs_bridge.atomic_write import write_text
 from msgs_bridge.errors import BridgeError
+from msgs_bridge.exit_codes import INTERRUPTED
 from msgs_bridge.plain_text import plain
 from trainer_node.hyperparameters import load_preset, to_yaml
 
@@ -153,7 +154,7 @@ class Schedule:
 
 def why_ended(folder: Path, code: int) -> str:
     """Return why a run has ended that was not to."""
-    if code == STOPPED:
+    if code == INTERRUPTED:
         return 'stopped by a signal'
     if code < 0:
         return f'its process was ended by signal {-code}'
