@@ -24,8 +24,8 @@ INK = '#222222'
 GREY = '#767676'
 PALE = '#d9d9d9'
 
-RUN_COLOURS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
-RUN_DASHES = ('-', '--', '-.', ':', (0, (5, 1)), (0, (1, 1)))
+RUN_COLOURS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, INK, GREY)
+RUN_DASHES = ('-', '--', '-.', ':', (0, (5, 1)), (0, (1, 1)), (0, (3, 1, 1, 1)), (0, (5, 4)))
 """Runs differ in their dashes too, for those who see no colours at all."""
 
 DUMMY_COLOUR = ORANGE
