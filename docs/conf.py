@@ -19,7 +19,7 @@ copyright = '2026, the carracing_dqn authors'  # noqa: A001
 release = version = ElementTree.parse(ROOT / 'package.xml').findtext('version')
 
 root_doc = 'docs/index'
-include_patterns = ['*.md', 'docs/*.md', 'models/*/README.md']
+include_patterns = ['*.md', 'docs/*.md', 'docs/studies/*.md', 'models/*/README.md']
 exclude_patterns = ['.*', 'build', 'install', 'log', 'runs', 'tests']
 
 extensions = ['myst_parser', 'sphinx.ext.autodoc', 'sphinx.ext.napoleon', 'sphinx.ext.viewcode']

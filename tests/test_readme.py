@@ -13,7 +13,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 README = ROOT / 'README.md'
-DOCS = sorted((ROOT / 'docs').glob('*.md'))
+DOCS = sorted((ROOT / 'docs').rglob('*.md'))
 PAGES = [README, ROOT / 'CONTRIBUTING.md', ROOT / 'CHANGELOG.md', *DOCS,
          *sorted((ROOT / 'models').glob('*/README.md'))]
 REFERENCE = (ROOT / 'docs' / 'reference.md').read_text(encoding='utf-8')

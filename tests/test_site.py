@@ -32,7 +32,7 @@ def test_the_navigation_has_the_four_kinds(site):
 
 
 def test_every_page_is_there_and_what_it_shows(site):
-    for page in (*(ROOT / 'docs').glob('*.md'), *(ROOT / 'models').glob('*/README.md')):
+    for page in (*(ROOT / 'docs').rglob('*.md'), *(ROOT / 'models').glob('*/README.md')):
         assert (site / page.relative_to(ROOT).with_suffix('.html')).is_file()
     assert 'docs/index.html' in (site / 'index.html').read_text(encoding='utf-8')
     assert list((site / '_images').glob('lap*.webp'))
