@@ -130,6 +130,8 @@ class Interrupting(importlib.abc.MetaPathFinder):
             raise ImportError('what a compiled module makes of an interrupt')
 
 sys.meta_path.insert(0, Interrupting())
+# who runs the tests in the background of a shell ignores it
+signal.signal(signal.SIGINT, signal.default_int_handler)
 {start}
 """
 
