@@ -78,7 +78,9 @@ def draw(
 
 
 def _shown(arms: Mapping[str, Sequence[Outcome]]) -> Mapping[str, Sequence[Outcome]]:
-    """Return the arms to draw, in their order."""
+    """Return the arms to draw, in their order: those that have anything to show."""
+    arms = {name: outcomes for name, outcomes in arms.items()
+            if any(len(outcome.curve.places) for outcome in outcomes)}
     if len(arms) <= MOST_ARMS:
         return arms
 
