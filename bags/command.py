@@ -15,7 +15,7 @@ from bags.reader import BagReader
 from bags.settings import PlayerSettings, RecorderSettings
 from bags.watched_reader import WatchedReader
 from msgs_bridge.errors import BridgeError
-from msgs_bridge.exit_codes import ERROR
+from msgs_bridge.exit_codes import ERROR, INTERRUPTED
 from msgs_bridge.plain_text import plain
 from msgs_bridge.settings import describe, parse_text
 
@@ -74,7 +74,7 @@ def main(arguments: argparse.Namespace) -> int:
         sys.stderr.write(f'error: {plain(reason, LINE)}\n')
         return ERROR
     except KeyboardInterrupt:
-        return 130
+        return INTERRUPTED
 
 
 def _record(arguments: argparse.Namespace) -> int:

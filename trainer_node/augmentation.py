@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from dqn_policy_node.action_space import action_space
 from trainer_node.hyperparameters import Hyperparameters
 from trainer_node.replay_buffer import Batch
 
@@ -21,8 +22,8 @@ def augment(batch: Batch, settings: Hyperparameters, random: np.random.Generator
     count = len(batch.actions)
     if settings.flips:
         flipped = random.random(count) < 0.5
-        batch.actions[flipped] = settings.model_description().action_space.mirror(
-            batch.actions[flipped])
+        mirror = action_space(settings.action_space).mirror
+        batch.actions[flipped] = mirror(batch.actions[flipped])
         for observations in (batch.observations, batch.next_observations):
             observations[flipped] = observations[flipped][..., ::-1]
     if settings.brightness:

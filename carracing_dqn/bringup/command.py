@@ -52,7 +52,6 @@ MAX_ERROR = 1000
 """Characters of an error; paths may be long."""
 
 
-
 class Parser(argparse.ArgumentParser):
     """An argument parser whose errors are one line, as all errors of the command are."""
 

@@ -17,6 +17,7 @@ from carracing_dqn.bringup.supervise import check_machine, run_to_the_end
 from carracing_dqn.simulation import find_simulator
 from carracing_dqn.simulation.profiles import profile_of, seen_from
 from msgs_bridge.errors import BridgeError
+from msgs_bridge.exit_codes import INTERRUPTED
 from msgs_bridge.seeds import epsilon_exponent, MAX_CARS, training_seed
 from msgs_bridge.topics import WEIGHTS
 from rich.console import Console
@@ -88,7 +89,7 @@ def main(arguments: argparse.Namespace) -> int:
     finally:
         monitor.close()
     if interrupted:
-        return 130
+        return INTERRUPTED
     display.say(f'the trainer has been gone for {arguments.wait:g} s: this car ends')
     return 0
 

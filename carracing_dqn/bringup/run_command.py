@@ -16,6 +16,7 @@ from carracing_dqn.bringup.supervise import check_machine, refuse_second_simulat
 from carracing_dqn.simulation.profiles import profile_of, seen_from
 from carracing_dqn.simulation.registry import CARRACING, frame_seconds
 from msgs_bridge.errors import BridgeError
+from msgs_bridge.exit_codes import INTERRUPTED
 from msgs_bridge.plain_text import plain
 from rich.console import Console
 from rich.table import Table
@@ -75,7 +76,7 @@ def main(arguments: argparse.Namespace) -> int:
         wanted = not interrupted or display.on_terminal
         if wanted and monitor.state.ended and arguments.simulator in CARRACING:
             _draw(bag, folder / 'pictures', display, hint=interrupted)
-    return 130 if interrupted else 0
+    return INTERRUPTED if interrupted else 0
 
 
 def _draw(bag: Path, folder: Path, display: Display, *, hint: bool) -> None:

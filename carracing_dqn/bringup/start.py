@@ -32,6 +32,9 @@ def _starting(module: str, interrupted: int = 0) -> Callable[[], int]:
             except ModuleNotFoundError as error:
                 from carracing_dqn.bringup.command import missing_package
                 reason = missing_package(error)
+            except KeyboardInterrupt:
+                # stopped before it had begun
+                return interrupted
         sys.stderr.write(f'error: {reason}\n')
         return ERROR
 

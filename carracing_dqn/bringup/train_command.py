@@ -27,6 +27,7 @@ from carracing_dqn.simulation import find_simulator
 from carracing_dqn.simulation.profiles import found_from, profile_of
 from carracing_dqn.studies.simulator_settings import choose_preset, PRESET, SIMULATOR_PRESET
 from msgs_bridge.errors import BridgeError, SettingsError
+from msgs_bridge.exit_codes import INTERRUPTED
 from msgs_bridge.seeds import MAX_CARS
 from msgs_bridge.settings import describe
 from msgs_bridge.terminal import say
@@ -140,7 +141,7 @@ def main(arguments: argparse.Namespace) -> int:
         display.say(line)
     if interrupted:
         display.say(_what_next(folder) or 'nothing was learned yet')
-    return 130 if interrupted else 0
+    return INTERRUPTED if interrupted else 0
 
 
 def _check(arguments: argparse.Namespace) -> None:
