@@ -22,7 +22,15 @@ def test_the_benchmark_writes_its_figures(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(bench_learner, 'MATRIX', 64)
     monkeypatch.setattr(bench_learner, 'stable_baselines', lambda: None)
     monkeypatch.setattr(bench_learner, 'nature', lambda bf16: tiny(bf16=bf16))
-    assert main(['--rounds', '1', '--updates', '1', '--json', str(tmp_path / 'b.json')]) == 0
+    assert main(['--rounds', '1', '--updates', '1', '--calls', '--json', str(
+        tmp_path / 'b.json')]) == 0
     figures = json.loads((tmp_path / 'b.json').read_text())
     assert figures['updates_per_second']['racing preset'] > 0
-    assert 'pip install stable-baselines3' in capsys.readouterr().out
+    # of three convolutions three passes forward, because of Double, and one backward
+    racing = figures['calls']['racing preset']
+    assert racing['convolutions backward'][1] == 3
+    assert racing['convolutions forward'][1] >= 9
+    assert all(racing[kind][0] > 0 for kind in racing)
+    told = capsys.readouterr().out
+    assert 'pip install stable-baselines3' in told
+    assert 'convolutions backward' in told

@@ -7,7 +7,7 @@ Both learn with the same network (Nature: 32@8/4 64@4/2 64@3/1, 512) on the same
 (4x84x84), batch 32, one thread, plain DQN with Huber loss, sampling from the replay buffer
 included. They take turns within each round; figures are medians over rounds, ratios are taken
 within a round. The share of the core's matrix rate is the arithmetic of an update against a
-matrix product measured in the same round.
+matrix product measured in the same round. `--calls` tells what an update's time goes to.
 """
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from torch.profiler import profile, ProfilerActivity
 
 from dqn_policy_node.action_space import action_space, DUMMY_SPACE
 from dqn_policy_node.model_description import ModelDescription
@@ -35,6 +36,17 @@ SIDE, STACK, BATCH = 84, 4, 32
 HELD = 5000
 MATRIX = 1024
 SB3 = 'stable-baselines3'
+# what PyTorch's operations are for, by the ends of their names, the first that fits
+KINDS = {
+    'convolutions backward': ('convolution_backward',),
+    'convolutions forward': ('convolution', 'conv2d'),
+    'matrix products': ('mm', 'linear'),
+    'Adam': ('adam_', 'Adam.step'),
+    'copies, casts': ('copy_', 'clone', 'to', 'fill_', 'zero_', 'cat', 'stack'),
+    'weight average': ('lerp_',),
+    'gradient norm': ('norm',),
+}
+OTHER, OUTSIDE = 'other operations', 'outside PyTorch'
 
 Update = Callable[[], Any]
 
@@ -134,13 +146,34 @@ def rate(update: Update, count: int) -> float:
     return count / (time.perf_counter() - started)
 
 
-def run(*, rounds: int = 5, updates: int = 60) -> dict[str, Any]:
+def calls(update: Update, count: int) -> dict[str, list[float]]:
+    """
+    Return what the time of an update goes to: kind -> its ms and its calls.
+
+    PyTorch's profiler makes each call longer, the short ones most. What no operation took is
+    outside PyTorch: sampling, and Python.
+    """
+    with profile(activities=[ProfilerActivity.CPU]) as profiled:
+        left = 1000 / rate(update, count)
+    found = {kind: [0.0, 0.0] for kind in (*KINDS, OTHER, OUTSIDE)}
+    for event in profiled.key_averages():
+        kind = next((kind for kind, ends in KINDS.items() if event.key.endswith(ends)), OTHER)
+        milliseconds = event.self_cpu_time_total / 1000 / count
+        found[kind][0] += milliseconds
+        found[kind][1] += event.count / count
+        left -= milliseconds
+    found[OUTSIDE][0] = max(left, 0.0)
+    return found
+
+
+def run(*, rounds: int = 5, updates: int = 60, by_call: bool = False) -> dict[str, Any]:
     """
     Measure everything; return JSON values.
 
     Args:
         rounds: rounds in which all take their turn.
         updates: updates of each in a round.
+        by_call: whether to tell what each one's time goes to, after the rounds.
     """
     torch.set_num_threads(1)
     racing = load_preset('racing')
@@ -183,7 +216,18 @@ def run(*, rounds: int = 5, updates: int = 60) -> dict[str, Any]:
         result['times_stable_baselines3'] = {
             name: median(own / theirs for own, theirs in zip(rates[name], rates[SB3]))
             for name in ('ours bf16', 'ours float32')}
+    if by_call:
+        result['calls'] = {name: calls(update, updates) for name, update in contestants.items()}
     return result
+
+
+def calls_table(found: dict[str, dict[str, list[float]]]) -> list[str]:
+    """Return the lines that show what `calls` returned for each contestant, by name."""
+    rows = [['ms (calls, nested too)', *found]]
+    for kind in (*KINDS, OTHER, OUTSIDE):
+        cells = (by_kind[kind] for by_kind in found.values())
+        rows.append([kind, *(f'{ms:.2f} ({number:.0f})' for ms, number in cells)])
+    return [f'{kind:22}' + ''.join(f'{cell:>19}' for cell in cells) for kind, *cells in rows]
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -192,11 +236,13 @@ def main(argv: list[str] | None = None) -> int:
         prog='carracing bench learner', description=__doc__.strip().splitlines()[0])
     parser.add_argument('--rounds', type=int, default=5, help='rounds to take the median of')
     parser.add_argument('--updates', type=int, default=60, help='updates of each in a round')
+    parser.add_argument('--calls', action='store_true',
+                        help="tell what an update's time goes to, by PyTorch's profiler")
     parser.add_argument('--json', type=Path, help='file to write the figures to')
     args = parser.parse_args(argv)
     if args.rounds < 1 or args.updates < 1:
         parser.error('--rounds and --updates must be at least 1')
-    result = run(rounds=args.rounds, updates=args.updates)
+    result = run(rounds=args.rounds, updates=args.updates, by_call=args.calls)
     lines = [f'{"":20}{"updates/s":>12}{"of matrix rate":>16}{"x SB3":>8}']
     for name, value in result['updates_per_second'].items():
         share = result['share_of_matrix_rate'].get(name)
@@ -205,6 +251,7 @@ def main(argv: list[str] | None = None) -> int:
                      f'{f"{times:.2f}" if times else "":>8}')
     if SB3 not in result['updates_per_second']:
         lines.append(f'{SB3} is not installed, so its row is missing: pip install {SB3}')
+    lines += calls_table(result.get('calls', {})) if args.calls else []
     sys.stdout.write('\n'.join(lines) + '\n')
     if args.json:
         args.json.write_text(json.dumps(result, indent=1) + '\n')
