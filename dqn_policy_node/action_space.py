@@ -193,7 +193,7 @@ KINDS = {kind.kind: kind for kind in (Discrete, Continuous, Hybrid)}
 def read_action_space(values: Any) -> ActionSpace:
     """Read what `to_json` of any kind gives, from a source that is not trusted: ModelError."""
     kind = values.get('kind') if isinstance(values, dict) else None
-    if kind not in KINDS:
+    if not isinstance(kind, str) or kind not in KINDS:
         raise ModelError(f'action space of kind {kind!r}; accepted: {", ".join(KINDS)}')
     return KINDS[kind].from_json(values)
 

@@ -3,6 +3,7 @@
 """Models by name: a path, or one of those that come with the package."""
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from dqn_policy_node.errors import ModelError
@@ -26,8 +27,9 @@ def find_model(name_or_path: Path | str, base: Path | str = '') -> Path:
     Raises:
         ModelError: there is neither.
     """
-    path = Path(base) / Path(name_or_path).expanduser()
-    if (path / 'model.json').is_file():
+    path = Path(base) / Path(os.path.expanduser(name_or_path))
+    # a name may be none that a file can have
+    if os.path.isfile(path / 'model.json'):
         return path
     shipped = shipped_models()
     if str(name_or_path) in shipped:

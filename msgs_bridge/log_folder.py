@@ -38,7 +38,7 @@ def ensure_log_folder() -> None:
 
 
 def _make(folder: Path) -> None:
-    folder = folder.expanduser()
+    folder = Path(os.path.expanduser(folder))
     folder.mkdir(parents=True, exist_ok=True)
     if not os.access(folder, os.W_OK | os.X_OK):
         raise PermissionError(f'{folder} is not writable')

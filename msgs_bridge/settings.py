@@ -105,7 +105,10 @@ def check_value(name: str, kind: type, description: Description, value: Any) -> 
         SettingsError: wrong type, not finite, out of range or not among the choices.
     """
     if kind is float and isinstance(value, int) and not isinstance(value, bool):
-        value = float(value)
+        try:
+            value = float(value)
+        except OverflowError:
+            value = math.inf
     if type(value) is not kind:
         raise SettingsError(f'{name} must be {_KINDS[kind]}, not {_shown(value)}')
     if kind is float and not math.isfinite(value):

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Checkpoints: damage of every kind is one line, and a kill at any moment leaves a run whole."""
 import copy
+import dataclasses
 import errno
 import json
 import os
@@ -260,6 +261,44 @@ def test_what_never_ends_is_not_read(run, name):
         resume(run)
 
 
+def test_stamps_of_wall_time_are_gone_on_from(tmp_path):
+    wall = 1_750_000_000_000_000_000
+    training = create(tmp_path / 'run')
+    transitions = [dataclasses.replace(
+        one, stamp=one.stamp + wall, next_stamp=one.next_stamp + wall) for one in stream(21)]
+    drive(training, transitions[:20])
+    training.save()
+    later = Training.resume(tmp_path / 'run', device='cpu')
+    assert later.learning.insert(transitions[20])
+
+
+@pytest.mark.parametrize('changes', [{'seed': 7}, {'initial_model': 'racing'}])
+def test_what_a_run_began_with_cannot_be_changed(run, changes):
+    with pytest.raises(RunError, match=f'{next(iter(changes))} is'):
+        Training.resume(run.path, tiny(**changes), device='cpu')
+
+
+def test_a_resume_that_is_refused_leaves_the_rows_that_there_are(run):
+    with run.episodes.open('a') as file:
+        file.write(run.episodes.read_text().splitlines()[-1] + '\n')
+    before = run.episodes.read_bytes()
+    next(run.checkpoint.parent.glob('observations-*')).unlink()
+    with pytest.raises(RunError):
+        resume(run)
+    assert run.episodes.read_bytes() == before
+
+
+def test_a_run_that_cannot_begin_leaves_nothing(tmp_path):
+    with pytest.raises(BridgeError, match='no model'):
+        create(tmp_path / 'run', initial_model='no such model')
+    assert not (tmp_path / 'run').exists()
+
+
+def test_a_record_that_is_nested_too_deep_is_none(run):
+    run.record.write_text('[' * 200_000)
+    assert resume(run).decisions == 60
+
+
 def test_what_was_out_for_validation_is_asked_for_again(run):
     later = resume(run)
     assert later.weights_due()
@@ -271,7 +310,9 @@ def test_what_was_out_for_validation_is_asked_for_again(run):
 
 
 def test_what_killed_saves_left_behind_is_removed(run):
-    left = [run.checkpoint.parent / '.checkpoint.safetensors.abcd1234',
+    left = [run.path / '.plan.yaml.abcd1234', run.path / '.evaluation.json.abcd1234',
+            run.path / '.demonstrations.safetensors.abcd1234',
+            run.checkpoint.parent / '.checkpoint.safetensors.abcd1234',
             run.checkpoint.parent / '.observations-000000003.safetensors.abcd1234',
             run.path / '.run.json.a_b_c_d_', run.path / '.best.12345678' / 'new' / 'model.json']
     left[-1].parent.mkdir(parents=True)
@@ -387,6 +428,10 @@ def test_a_copy_that_cannot_be_made_is_one_line(run, tmp_path, where, capsys):
     assert without_replay_main([str(run.path), str(tmp_path / where)]) == 2
     assert capsys.readouterr().err.count('\n') == 1
     assert without_replay_main([str(tmp_path / 'there'), str(tmp_path / 'new')]) == 2
+    # half a copy is none
+    run.checkpoint.write_bytes(run.checkpoint.read_bytes()[:-1])
+    assert without_replay_main([str(run.path), str(tmp_path / 'new')]) == 2
+    assert not (tmp_path / 'new').exists()
 
 
 def test_two_processes_do_not_learn_into_one_folder(run):

@@ -1,6 +1,7 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
 """Demonstrations: made from frames, kept for good, learned first, and gone on with exactly."""
+from collections import Counter
 import dataclasses
 import json
 
@@ -56,8 +57,19 @@ def test_frames_become_decisions():
     assert len(same) == len(given) and all(
         np.array_equal(vars(one)[name], vars(other)[name])
         for one, other in zip(same, given) for name in vars(other))
-    with pytest.raises(LearningError, match='0.02 s apart.*0.01 s'):
-        list(as_decisions(given, 0.01))
+    # further apart than decisions, or of no number that is as long as one
+    for seconds in (0.01, 0.03, 0.035):
+        with pytest.raises(LearningError, match=f'0.02 s apart.*{seconds} s'):
+            list(as_decisions(given, seconds))
+    # stamps of a real camera are never even, and one frame comes late
+    uneven = [dataclasses.replace(
+        one, stamp=one.stamp + 10**6 * (number % 3) + (number > 4) * 2 * FRAME,
+        next_stamp=one.next_stamp + 10**6 * ((number + 1) % 3) + (number > 3) * 2 * FRAME)
+        for number, one in enumerate(given)]
+    counts = Counter()
+    assert [round((one.next_stamp - one.stamp) / 10**6) for one in as_decisions(
+        uneven, 0.04, counts)] == [42, 39, 39, 39, 21]
+    assert counts == {'uneven': 1}
 
 
 @pytest.mark.parametrize('name', ACTION_SPACES)

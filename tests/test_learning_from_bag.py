@@ -8,7 +8,7 @@ import sys
 
 from bag_cases import record_drive, scripted
 from bags.errors import BagError
-from carracing_dqn.bringup.train_from_bag import count_steps, learn_from_bags
+from carracing_dqn.bringup.train_from_bag import learn_from_bags
 from dqn_policy_node.action_space import DUMMY_SPACE
 from dqn_policy_node.model_folder import load_model
 from graph_probe import carracing
@@ -123,6 +123,38 @@ def test_a_run_goes_on_with_another_bag_from_its_start(bag, preset, tmp_path):
         EPISODES * DECISIONS + 20)
 
 
+def test_a_run_grows_by_other_bags_whatever_they_are_called(bag, preset, tmp_path):
+    """Every bag of `carracing run` is called bag."""
+    other = record_drive(tmp_path / 'other' / bag.name, episodes=2, decisions=40,
+                         drive_with=discrete)
+    learn([bag], tmp_path / 'run', preset)
+    assert 'validation' not in learn([bag], tmp_path / 'run', preset, resume=True)
+    assert Training.resume(tmp_path / 'run', device='cpu').decisions == EPISODES * DECISIONS
+    learn([other], tmp_path / 'run', preset, resume=True)
+    run = Training.resume(tmp_path / 'run', device='cpu')
+    assert run.decisions == EPISODES * DECISIONS + 80
+    # a limit that was asked for stays
+    learn([bag], tmp_path / 'short', preset, run_decisions=100)
+    learn([other], tmp_path / 'short', preset, resume=True)
+    assert Training.resume(tmp_path / 'short', device='cpu').decisions == 100
+
+
+def test_a_run_of_bags_has_no_clock_though_its_preset_has_both_limits(bag, preset, tmp_path):
+    learn([bag], tmp_path / 'run', preset, run_decisions=100)
+    settings = Training.resume(tmp_path / 'run', device='cpu').settings
+    assert (settings.run_minutes, settings.run_decisions) == (0, 100)
+
+
+def test_frames_of_a_bag_make_decisions_of_the_length_that_is_learned(bag, preset, tmp_path):
+    learn([bag], tmp_path / 'run', preset, action_repeat=3, action_space='continuous')
+    status = Training.resume(tmp_path / 'run', device='cpu').status()
+    assert status['decisions'] == EPISODES * DECISIONS // 3
+    assert status['learning_rate'] < 2e-5
+    with pytest.raises(LearningError, match='0.02 s apart, of which no number makes .* 0.03 s'):
+        learn([bag], tmp_path / 'other', preset, frame_seconds=0.03)
+    assert not (tmp_path / 'other').exists()
+
+
 def test_fewer_transitions_than_learning_needs_are_named(bag, preset, tmp_path):
     with pytest.raises(SettingsError, match='at most 123 transitions.*learning_starts 2000'):
         learn([bag], tmp_path / 'run', preset, learning_starts=2000, replay_capacity=3000)
@@ -134,7 +166,6 @@ def test_fewer_transitions_than_learning_needs_are_named(bag, preset, tmp_path):
 def test_several_cars_need_a_namespace(preset, tmp_path):
     bag = record_drive(tmp_path / 'bag', episodes=1, decisions=40, drive_with=discrete,
                        namespace='/car1')
-    assert count_steps([bag], '/car1') == 41
     learn([bag], tmp_path / 'run', preset, namespace='/car1')
     with pytest.raises(BagError, match='has no image_raw'):
         learn([bag], tmp_path / 'other', preset, namespace='/car2')

@@ -66,6 +66,13 @@ def test_a_linear_learning_rate_holds_and_then_falls():
         rate.progressed(progress)
         values.append(rate.value)
     assert values == pytest.approx([1e-3, 1e-3, 5.5e-4, 1e-4])
+    # held to the end, by a run that is resumed after it has fallen
+    held = LearningRate(tiny(
+        learning_rate=1e-3, learning_rate_end=1e-4, learning_rate_schedule='linear',
+        learning_rate_hold=1.0))
+    held.restore(rate.state())
+    held.progressed(1.0)
+    assert held.value == 1e-3
 
 
 def test_the_limiter_counts_from_when_learning_starts():
@@ -172,6 +179,10 @@ def test_the_report_preset_names_every_number_that_it_could_change():
     ('learning_rate_end: 0.1', 'learning_rate_end 0.1 is above'),
     ('learning_starts: 200000', 'learning_starts 200000 must be below'),
     ('5: 6', 'unknown setting 5'),
+    ('gamma: 0.5\ngamma: 0.9', "'gamma' comes twice"),
+    ('gamma: 1' + '0' * 400, 'so many digits'), ('hidden: 0x' + 'f' * 5000, 'so many digits'),
+    *((f'gamma: !!{tag} "{text}"', 'is not valid YAML') for tag, text in (
+        ('bool', 'x'), ('float', ''), ('int', ''), ('timestamp', 'x'), ('map', 'xy'))),
 ])
 def test_bad_presets_are_refused_with_the_reason(tmp_path, text, message):
     (tmp_path / 'bad.yaml').write_text(text)
@@ -182,6 +193,9 @@ def test_bad_presets_are_refused_with_the_reason(tmp_path, text, message):
 def test_presets_that_are_not_there_are_refused(tmp_path):
     with pytest.raises(SettingsError, match="no preset 'raicing'"):
         load_preset('raicing')
+    for name in ('~nobody_of_that_name/x', 'a' * 5000, 'a\0b'):
+        with pytest.raises(SettingsError, match='no preset'):
+            load_preset(name)
     (tmp_path / 'bytes.yaml').write_bytes(b'\xff\xfe\x00')
     with pytest.raises(SettingsError, match='is not valid YAML'):
         load_preset(tmp_path / 'bytes.yaml')

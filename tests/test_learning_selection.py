@@ -3,10 +3,11 @@
 """Which weights are the best, and what is known of them."""
 from dqn_policy_node.model_folder import load_model
 from dqn_policy_node.weights_message import decode_weights
-from learning_cases import create, drive, rows, stream, validation
+from learning_cases import create, drive, rows, stream, tiny, validation
 from msgs_bridge.errors import MessageError
 import pytest
 import torch
+from trainer_node.training import Training
 
 
 def test_the_best_model_is_the_best_validated_one(tmp_path):
@@ -41,6 +42,28 @@ def test_a_spread_weight_prefers_the_steady_model(tmp_path):
         training.next_weights(validate=True)
         assert training.record_validation(
             validation(training.version, mean=mean, std=std)) is kept
+    training.save()
+    # another weight judges what was the best, too: 90 - 2 * 10 against 80 - 2 * 1
+    later = Training.resume(
+        tmp_path / 'run', tiny(validation_spread_weight=2.0), device='cpu')
+    later.next_weights(validate=True)
+    assert later.record_validation(validation(later.version, mean=80.0, std=1.0))
+    later.next_weights(validate=True)
+    with pytest.raises(MessageError, match='score of a validation is -inf'):
+        later.record_validation(validation(later.version, std=1.7e308))
+
+
+def test_the_best_of_a_session_that_was_killed_is_not_replaced_by_a_worse(tmp_path):
+    training = create(tmp_path / 'run')
+    for mean in (5.0, 8.0):
+        training.save()
+        training.next_weights(validate=True)
+        training.record_validation(validation(training.version, mean=mean))
+    # killed before it has saved that 8 is the best
+    later = Training.resume(tmp_path / 'run', device='cpu')
+    for mean, kept in ((6.0, False), (9.0, True)):
+        later.next_weights(validate=True)
+        assert later.record_validation(validation(later.version, mean=mean)) is kept
 
 
 def test_a_result_that_comes_late_tells_of_when_its_weights_were_made(tmp_path):

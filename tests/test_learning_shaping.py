@@ -152,3 +152,11 @@ def test_every_shaping_setting_belongs_to_a_term():
     names = list(Hyperparameters.__dataclass_fields__)
     section = names[names.index('tile_missed_penalty'):names.index('weights_every')]
     assert set(section) | {'reward_scale'} == set(REWARD_SETTINGS)
+
+
+def test_a_reward_that_no_replay_can_hold_costs_its_transition_only():
+    shaping = Shaping(tiny(speed_weight=1.0))
+    previous = make_step()
+    for speed in (1e300, -1e300, 1e39):
+        with pytest.raises(MessageError, match='the shaped reward is'):
+            shaping.reward(make_transition(previous=previous, step=make_step(speed=speed)))

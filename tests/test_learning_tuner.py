@@ -53,6 +53,20 @@ def test_the_share_moves_to_what_earned_more():
         for command, value in ((COMMAND, 1.0), (ANYTHING, 0.0)) * 2:
             episode(tuner, command, value)
     assert tuner.share == 0.1
+    # a run that is resumed with a larger least share
+    later = Tuner(settings(tuner_least=0.3))
+    later.restore(tuner.state())
+    assert later.share == 0.3
+
+
+def test_what_an_episode_that_was_cut_off_has_driven_is_not_of_the_next_one():
+    tuner = Tuner(settings(tuner_series=1))
+    for _ in range(50):
+        tuner.took(COMMAND)
+    for number in range(5):
+        tuner.took(ANYTHING, goes_on=number > 0)
+    assert tuner.episode_ended(1, 7.0)
+    assert (tuner.series[0].commands, tuner.series[0].axes) == (None, 7.0)
 
 
 def test_a_policy_drives_an_episode_with_one_of_the_two():

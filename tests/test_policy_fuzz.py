@@ -1,6 +1,9 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
 """Whatever comes over a topic: taken, or refused by an error of ours with a short text."""
+import contextlib
+import copy
+import dataclasses
 import math
 
 from dqn_policy_node.action_space import ACTION_SPACES
@@ -16,6 +19,7 @@ from hypothesis import given, settings, strategies
 from msgs_bridge.errors import BridgeError, MessageError
 from msgs_bridge.named_values import read_named_values
 from msgs_bridge.twists import read_command
+import pytest
 from sensor_msgs.msg import JointState
 
 DESCRIPTION = ModelDescription(
@@ -47,6 +51,35 @@ def test_a_weights_image_is_whole_or_refused(changes, length, tail, in_header):
     else:
         # what the hash does not cover is checked value by value
         assert 0 <= policy.epsilon <= 1 and math.isfinite(policy.gas_weight)
+
+
+ODD = (None, True, -1, 1.5, math.nan, math.inf, 10**400, '', 'x' * 10_000, '\ud800', [], [[]], {},
+       {'a': 1}, -0.0, 2**63)
+
+
+def places(value, path=()):
+    """Yield the path of everything in JSON values; of a list its first two."""
+    yield path
+    inside = value.items() if isinstance(value, dict) else enumerate(value[:2]) if isinstance(
+        value, list) else ()
+    for key, each in inside:
+        yield from places(each, (*path, key))
+
+
+@pytest.mark.parametrize('space', ['seed5', 'continuous', 'hybrid'])
+def test_a_description_with_anything_anywhere_is_taken_or_refused(space):
+    description = dataclasses.replace(DESCRIPTION, action_space=ACTION_SPACES[space])
+    whole = description.to_json()
+    for path in places(whole):
+        for odd in ODD:
+            changed = copy.deepcopy({'': whole})
+            *before, last = ('', *path)
+            inner = changed
+            for key in before:
+                inner = inner[key]
+            inner[last] = odd
+            with contextlib.suppress(ModelError):
+                ModelDescription.from_json(changed[''])
 
 
 @given(strategies.floats(), strategies.floats())

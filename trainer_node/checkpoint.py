@@ -23,7 +23,9 @@ if TYPE_CHECKING:
     from trainer_node.replay_buffer import ReplayBuffer
 
 # what the contents of a checkpoint are made for or made with, beside the model
-FIXED_SETTINGS = ('learner', 'replay_capacity', 'tuner_series', 'demonstrations', *REWARD_SETTINGS)
+FIXED_SETTINGS = (
+    'seed', 'learner', 'replay_capacity', 'tuner_series', 'initial_model', 'demonstrations',
+    *REWARD_SETTINGS)
 
 
 class Part(Protocol):

@@ -13,6 +13,7 @@ from collections.abc import Iterable, Iterator
 import dataclasses
 import hashlib
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -34,8 +35,12 @@ from trainer_node.shaping import REWARD_SETTINGS, Shaping
 
 FORMAT = 'carracing_dqn demonstrations 1'
 MOST_OBSERVATIONS = 1_000_000
-# share of a decision by which stamps in whole nanoseconds may be beside it
-BESIDE = 0.01
+# half of what a checkpoint file may have, in which they are kept
+MOST_BYTES = 2**31
+# share of a decision by which one may be longer or shorter: stamps of a camera are never even
+UNEVEN = 0.1
+# decisions that are not of their length beyond those that are, before a recording is refused
+MOST_UNEVEN = 2
 OBSERVATIONS = 'observations'
 
 
@@ -52,7 +57,7 @@ class Summary:
         foreign: how many of them no action of the space meant.
         distance_mean, distance_worst: from the command of a decision to that of the action taken
             for it, the larger of both axes' differences; over all decisions.
-        left_out: transitions that could not be used.
+        left_out: decisions that could not be used.
     """
 
     sources: list[str]
@@ -70,7 +75,7 @@ class Summary:
                 f'{self.mean_return:.1f}; {self.foreign} decisions are no action of the space and '
                 f'were taken for the nearest: {self.distance_mean:.3f} away in the mean of all, '
                 f'{self.distance_worst:.3f} at worst'
-                + (f'; {self.left_out} transitions were left out' if self.left_out else ''))
+                + (f'; {self.left_out} decisions were left out' if self.left_out else ''))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -134,11 +139,12 @@ def collect(
     description = settings.model_description()
     space, shaping = description.action_space, Shaping(settings)
     preprocess = Preprocessor(description.preprocessing)
-    replay = make_replay(settings, MOST_OBSERVATIONS)
+    most = min(MOST_OBSERVATIONS, MOST_BYTES // math.prod(description.preprocessing.shape))
+    kept: list[tuple[np.ndarray | None, tuple[Any, float, np.ndarray, bool]]] = []
     counts: Counter[str] = Counter()
     returns, distances = [], []
     segment_end = None
-    for decision in as_decisions(transitions, description.stack_seconds):
+    for decision in as_decisions(transitions, description.stack_seconds, counts):
         try:
             reward = shaping.reward(decision)
             after = preprocess(decision.next_frame)
@@ -147,23 +153,27 @@ def collect(
             counts['left_out'] += 1
             segment_end = None
             continue
-        if replay.written + 2 > MOST_OBSERVATIONS:
-            raise LearningError(f'more than {MOST_OBSERVATIONS} observations of demonstrations')
-        if first is not None:
-            replay.start(first)
+        counts['observations'] += 1 if first is None else 2
+        if counts['observations'] > most:
+            raise LearningError(f'more than {most} observations of demonstrations')
         action, distance = nearest(space, decision.command)
         distances.append(distance)
-        replay.add(action, reward, after, terminated=shaping.terminated(decision))
+        kept.append((first, (action, reward, after, shaping.terminated(decision))))
         segment_end = None if decision.step.ended else decision.next_stamp
         if decision.step.ended:
             returns.append(decision.step.episode_return)
     if not distances:
         raise LearningError('the demonstrations hold no transition')
+    replay = make_replay(settings, counts['observations'])
+    for first, (action, reward, after, terminated) in kept:
+        if first is not None:
+            replay.start(first)
+        replay.add(action, reward, after, terminated=terminated)
     found = np.array(distances)
     return Demonstrations(replay, Summary(
         list(sources), len(returns), float(np.mean(returns)) if returns else 0.0, len(found),
         int(np.count_nonzero(found > TOLERANCE)), float(found.mean()), float(found.max()),
-        counts['left_out']), _made_for(settings))
+        counts['left_out'] + counts['uneven']), _made_for(settings))
 
 
 def nearest(space: ActionSpace, command: Command) -> tuple[Any, float]:
@@ -172,35 +182,46 @@ def nearest(space: ActionSpace, command: Command) -> tuple[Any, float]:
     return action, max(abs(given - own) for given, own in zip(command, space.decode(action)))
 
 
-def as_decisions(transitions: Iterable[Transition], seconds: float) -> Iterator[Transition]:
+def as_decisions(
+    transitions: Iterable[Transition], seconds: float, counts: Counter[str] | None = None,
+) -> Iterator[Transition]:
     """
-    Join transitions of frames into decisions of some seconds.
+    Join transitions of frames into decisions that are nearest to some seconds.
 
     The command of a decision is the mean of its frames', the reward their sum. What is cut off
-    by a gap is passed over; what is cut off by the end of an episode is a shorter decision, as a
-    simulator makes it.
+    by a gap is passed over, and what a late frame makes too long; what is cut off by the end of
+    an episode is a shorter decision, as a simulator makes it.
 
     Args:
         transitions: in order.
         seconds: that a decision lasts.
+        counts: what is passed over because of its length is counted here as `uneven`.
 
     Raises:
-        LearningError: frames are further apart than decisions.
+        LearningError: no number of frames is as long as a decision.
     """
-    least = seconds * (1 - BESIDE) * NANOSECONDS
+    wanted = seconds * NANOSECONDS
+    counts = Counter() if counts is None else counts
+    even = 0
     group: list[Transition] = []
     for transition in transitions:
-        length = transition.next_stamp - transition.stamp
-        if length > seconds * (1 + BESIDE) * NANOSECONDS:
-            raise LearningError(
-                f'frames of the recording are {length / NANOSECONDS:g} s apart, and a decision '
-                f'lasts {seconds:g} s (action_repeat)')
         if group and group[-1].next_stamp != transition.stamp:
             group = []
         group.append(transition)
-        if transition.step.ended or transition.next_stamp - group[0].stamp >= least:
+        frame = transition.next_stamp - transition.stamp
+        beside = transition.next_stamp - group[0].stamp - wanted
+        if not transition.step.ended and beside + frame / 2 < 0:
+            continue
+        if (-beside if beside < 0 and not transition.step.ended else beside) <= UNEVEN * wanted:
+            even += 1
             yield _joined(group)
-            group = []
+        else:
+            counts['uneven'] += 1
+            if counts['uneven'] > even + MOST_UNEVEN:
+                raise LearningError(
+                    f'frames of the recording are {frame / NANOSECONDS:g} s apart, of which no '
+                    f'number makes a decision of {seconds:g} s (action_repeat)')
+        group = []
 
 
 def _joined(group: list[Transition]) -> Transition:

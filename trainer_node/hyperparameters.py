@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import os
 from pathlib import Path
 from typing import Any
 
@@ -349,9 +350,9 @@ class Hyperparameters:
         Args:
             transitions: how many there are.
         """
-        if not self.run_minutes or self.run_decisions:
+        if not self.run_minutes:
             return self
-        return self.without_clock(transitions)
+        return self.without_clock(self.run_decisions or transitions)
 
     def without_clock(self, decisions: int) -> Hyperparameters:
         """
@@ -448,11 +449,12 @@ def load_preset(
         SettingsError: no such preset, a file that is no mapping, or a name or value that is not
             accepted.
     """
-    path = Path(name_or_path).expanduser()
-    if not path.is_file():
+    path = Path(os.path.expanduser(name_or_path))
+    # a name may be none that a file can have
+    if not os.path.isfile(path):
         try:
             path = share_path(Path('config') / f'{name_or_path}.yaml')
-        except FileNotFoundError:
+        except OSError:
             raise SettingsError(f'no preset {str(name_or_path)!r}: neither a file nor one of '
                                 f"the package's, which are {', '.join(preset_names())}") from None
     text = read_regular(path, MAX_PRESET_BYTES, SettingsError).decode('utf-8', 'replace')

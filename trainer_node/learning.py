@@ -28,6 +28,7 @@ from trainer_node.hyperparameters import Hyperparameters
 from trainer_node.learner import make_learner
 from trainer_node.limiter import LimiterState, ReplayRatioLimiter
 from trainer_node.replay_buffer import Batch, make_replay, ReplayBuffer, sample_both
+from trainer_node.saved_state import Stamp
 from trainer_node.settings import MOVING_AVERAGE_EPISODES
 from trainer_node.shaping import Shaping
 
@@ -52,7 +53,7 @@ class SourceState:
     """
 
     number: int
-    segment_end: int | None = None
+    segment_end: Stamp | None = None
     episodes: int = 0
     decisions: int = 0
     last_return: float | None = None
@@ -67,7 +68,7 @@ class LearningState:
     decisions: int
     taken: int
     left_out: dict[str, int]
-    segment_end: int | None
+    segment_end: Stamp | None
     written: int
     updates: int
     limiter: LimiterState
@@ -134,13 +135,16 @@ class Learning:
         for of in (self._only, *self.sources.values()):
             of.segment_end = None
 
-    def insert(self, transition: Transition, source: str = '') -> None:
+    def insert(self, transition: Transition, source: str = '') -> bool:
         """
         Take the next transition into the replay buffer.
 
         Args:
             transition: in the order of its source.
             source: whose it is, if there are several.
+
+        Returns:
+            Whether it goes on where the one before of its source ended.
 
         Raises:
             LearningError: its steps lack what a shaping term needs, and it is the one source.
@@ -156,7 +160,8 @@ class Learning:
         next_observation = self._counted(
             of, 'foreign_frames', self._preprocess, transition.next_frame)
         reward = self._counted(of, 'bad_steps', self._shaping.reward, transition)
-        if transition.stamp != segment_end or not self.replay.can_add(of.number):
+        goes_on = transition.stamp == segment_end
+        if not goes_on or not self.replay.can_add(of.number):
             self.replay.start(
                 self._counted(of, 'foreign_frames', self._preprocess, transition.frame),
                 of.number)
@@ -168,6 +173,7 @@ class Learning:
         self.decisions += 1
         of.decisions += 1
         self.limiter.insert()
+        return goes_on
 
     def source(self, name: str) -> SourceState:
         """

@@ -34,6 +34,10 @@ class Moment:
     wall_seconds: Seconds
 
 
+# of the row of a validation
+_ROW = {*VALIDATION_FIELDS, *(field.name for field in dataclasses.fields(Moment))}
+
+
 @dataclasses.dataclass(frozen=True)
 class Judgement:
     """
@@ -152,7 +156,7 @@ class ModelSelection:
             What it says; None for a version that was not asked for, or was answered already.
 
         Raises:
-            MessageError: a field is missing or not finite.
+            MessageError: a field is missing, or it or the score is not finite.
         """
         for name in VALIDATION_FIELDS:
             if name not in values or not math.isfinite(values[name]):
@@ -163,11 +167,31 @@ class ModelSelection:
         moment, tensors = found
         self.last = {
             **{name: values[name] for name in VALIDATION_FIELDS}, **dataclasses.asdict(moment)}
-        score = values['mean'] - self._settings.validation_spread_weight * values['std']
+        score = self._score(values)
+        if not math.isfinite(score):
+            raise MessageError(f'the score of a validation is {score}')
         better = not self.best or score > self.best['score']
         if better:
             self.best = {'score': score, **self.last}
         return Judgement(self.last, tensors, better)
+
+    def _score(self, values: Mapping[str, float]) -> float:
+        return values['mean'] - self._settings.validation_spread_weight * values['std']
+
+    def best_was(self, row: object) -> None:
+        """
+        Take note of what lies in `best/`, if it is better than what the checkpoint knows.
+
+        A session that was killed may have put it there after its last checkpoint.
+
+        Args:
+            row: the `best` of that session; whatever else is passed over.
+        """
+        if isinstance(row, dict) and row.keys() == _ROW | {'score'} and all(
+                type(value) in (int, float) and math.isfinite(value) for value in row.values()):
+            score = self._score(row)
+            if math.isfinite(score) and (not self.best or score > self.best['score']):
+                self.best = {**row, 'score': score}
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the weights that are being validated."""
@@ -189,10 +213,12 @@ class ModelSelection:
         self._validation_decisions = state.validation_decisions
         self._validation_seconds = state.validation_seconds
         self.best, self.last = state.best, state.last
-        known = {*VALIDATION_FIELDS, *(field.name for field in dataclasses.fields(Moment))}
         if (self.best or self.last) and (
-                self.best.keys() != known | {'score'} or self.last.keys() != known):
+                self.best.keys() != _ROW | {'score'} or self.last.keys() != _ROW):
             raise ValueError('its validations lack a figure')
+        if self.best:
+            # by the weight of the spread that holds now
+            self.best = {**self.best, 'score': self._score(self.best)}
         self._pending = {int(version): (moment, {}) for version, moment in state.pending.items()}
         for key, array in arrays.items():
             version, _, name = key.partition('.')

@@ -28,7 +28,8 @@ if TYPE_CHECKING:
 
 BLOCK = 4096
 """Slots in a file; with 48x48 observations 9 MB, some ten seconds of driving."""
-MAX_BYTES = 2**30
+HEADER_BYTES = 2**16
+"""More than what stands before the observations in a file."""
 
 _NAME = re.compile(r'observations-(\d{9})\.safetensors')
 
@@ -97,9 +98,10 @@ class ObservationBlocks:
         Raises:
             RunError: a block is missing or damaged, or is not of the buffer's observation size.
         """
+        most = BLOCK * replay.observation_bytes + HEADER_BYTES
         for block in _needed(replay):
             path = self.path(block)
-            data = read_regular(path, MAX_BYTES, RunError)
+            data = read_regular(path, most, RunError)
             if hashlib.sha256(data).hexdigest() != checksums.get(block):
                 raise RunError(f'{path}: damaged checkpoint: not the bytes that were written')
             try:

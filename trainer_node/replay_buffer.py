@@ -229,6 +229,11 @@ class ReplayBuffer:
         """Return the number of the oldest slot that is still held."""
         return max(self.written - self.capacity, 0)
 
+    @property
+    def observation_bytes(self) -> int:
+        """Return the bytes of one observation."""
+        return self._observations[0].nbytes
+
     def observations(self, first: int, end: int) -> np.ndarray:
         """Return a copy of slots first to end - 1, uint8 (end - first, H, W)."""
         return self._observations[np.arange(first, end) % self.capacity]

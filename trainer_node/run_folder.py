@@ -120,7 +120,9 @@ class RunFolder:
     def remove_leftovers(self) -> None:
         """Remove what a killed process was in the middle of writing."""
         remove_leftovers(self.path, *(
-            path.name for path in (self.config, self.record, self.best, self.final)))
+            path.name for path in (self.config, self.record, self.best, self.final)),
+            # of commands that work on the run
+            'demonstrations.safetensors', 'plan.yaml', 'evaluation*.json')
         remove_leftovers(
             self.checkpoint.parent, self.checkpoint.name, 'observations-*.safetensors')
 
@@ -128,7 +130,7 @@ class RunFolder:
         """Return `run.json`, empty if there is none or it cannot be read."""
         try:
             record = json.loads(read_regular(self.record, MAX_RECORD_BYTES, RunError))
-        except ValueError:  # a RunError among them
+        except (ValueError, RecursionError):  # a RunError among them
             return {}
         if not isinstance(record, dict) or not isinstance(record.get('sessions', []), list):
             return {}

@@ -54,18 +54,22 @@ class RunRecord:
         self._updates_per_second = 0.0
         self._new_validation: float | None = None
         self._run: dict[str, Any] = {}
+        # lengths of the files at the checkpoint that is gone on from
+        self._positions: dict[str, int] | None = None
 
     def begin_session(
         self, run: dict[str, Any], *, device: object, seconds: float,
     ) -> None:
         """
-        Note when and on what machine this part of the run began.
+        Note when and on what machine this part of the run began; cut rows after the checkpoint.
 
         Args:
             run: `run.json` so far.
             device: where it learns.
             seconds: wall time of the sessions before.
         """
+        if self._positions is not None:
+            self._tracking.set_back(self._positions)
         self._run = run
         run.setdefault('sessions', []).append({
             'started': now(), 'from_seconds': seconds, 'device': str(device),
@@ -158,8 +162,13 @@ class RunRecord:
             self._new_validation)
 
     def restore(self, state: RecordState, _: object = None) -> None:
-        """Go on from a checkpoint: later rows are cut off; KeyError, RunError if they lack."""
-        self._tracking.set_back(state.positions)
+        """
+        Go on from a checkpoint; KeyError, RunError if rows of then are not there any more.
+
+        Later rows are cut off by `begin_session`: until then the run may still be refused.
+        """
+        self._tracking.check(state.positions)
+        self._positions = state.positions
         self._of_episode.restore(state.of_episode)
         self._of_row.restore(state.of_row)
         self.last_figures = state.last_figures

@@ -4,9 +4,9 @@
 What a checkpoint holds beside arrays: dataclasses as JSON, checked by type when they come back.
 
 A field may be an `int` (a count: whole and not negative), a `float` (finite), a `bool`, a `str`,
-`Seconds` (finite and not negative), another such dataclass, any of them `| None`, a
-`list[...]` or `dict[str, ...]` of them, or `dict[str, Any]` for what somebody else will check. A
-field with a default may be missing: it is younger than the checkpoint.
+`Seconds` (finite and not negative), a `Stamp` (ns, as far as ROS can say), another such dataclass,
+any of them `| None`, a `list[...]` or `dict[str, ...]` of them, or `dict[str, Any]` for what
+somebody else will check. A field with a default may be missing: it is younger than the checkpoint.
 """
 from __future__ import annotations
 
@@ -19,8 +19,11 @@ from trainer_node.errors import RunError
 
 Kind = TypeVar('Kind')
 Seconds = Annotated[float, 'seconds']
+Stamp = Annotated[int, 'ns']
 # a float64 holds every whole number up to here, and no run counts further
 MAX_COUNT = 2**53
+# the seconds of a stamp are an int32
+MAX_STAMP = 2**31 * 10**9
 
 
 def from_json(kind: type[Kind], values: Any, path: str) -> Kind:
@@ -67,6 +70,8 @@ def _checked(hint: Any, value: Any, path: str) -> Any:
         return {name: _checked(inner, each, f'{path}.{name}') for name, each in value.items()}
     if hint is int and type(value) is int and 0 <= value <= MAX_COUNT:
         return value
+    if hint == Stamp and type(value) is int and abs(value) <= MAX_STAMP:
+        return value
     if hint in (float, Seconds) and type(value) in (int, float) and math.isfinite(value) and (
             hint is float or value >= 0):
         return value
@@ -78,7 +83,7 @@ def _checked(hint: Any, value: Any, path: str) -> Any:
 def _in_words(hint: Any) -> str:
     return {
         int: 'a whole number from 0', float: 'a finite number', Seconds: 'seconds from 0',
-        bool: 'true or false', str: 'a text',
+        bool: 'true or false', str: 'a text', Stamp: 'a stamp in ns',
     }.get(hint) or ('a list' if get_origin(hint) is list else 'a mapping')
 
 

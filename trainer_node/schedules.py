@@ -72,9 +72,11 @@ class LearningRate:
     def progressed(self, progress: float) -> None:
         """Take note of the share of the run that is done, 0 to 1."""
         settings = self._settings
-        if settings.learning_rate_schedule != 'linear' or settings.learning_rate_hold >= 1:
+        if settings.learning_rate_schedule != 'linear':
             return
-        share = (progress - settings.learning_rate_hold) / (1 - settings.learning_rate_hold)
+        # of a rate that is held to the end nothing falls
+        falls = 1 - settings.learning_rate_hold
+        share = (progress - settings.learning_rate_hold) / falls if falls > 0 else 0.0
         share = min(max(share, 0.0), 1.0)
         self.value = settings.learning_rate + share * (
             settings.learning_rate_end - settings.learning_rate)

@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 from msgs_bridge.errors import MessageError
 from msgs_bridge.stamps import NANOSECONDS
+from msgs_bridge.step import MAX_REWARD
 from msgs_bridge.transitions import Transition
 from trainer_node.errors import LearningError
 from trainer_node.hyperparameters import Hyperparameters
@@ -191,12 +192,12 @@ class Shaping:
         Return what is learned from: the environment's reward and all terms, scaled.
 
         Raises:
-            LearningError, MessageError: as `terms`; a reward that is not finite is a MessageError.
+            LearningError, MessageError: as `terms`; a reward beyond MAX_REWARD is a MessageError.
         """
         reward = self._settings.reward_scale * (
             transition.step.reward + math.fsum(self.terms(transition).values()))
-        if not math.isfinite(reward):
-            raise MessageError(f'the shaped reward is {reward}')
+        if not abs(reward) <= MAX_REWARD:
+            raise MessageError(f'the shaped reward is {reward}; accepted: up to {MAX_REWARD:g}')
         return reward
 
     def terminated(self, transition: Transition) -> bool:

@@ -71,9 +71,9 @@ class CsvFile:
         os.fsync(self._file.fileno())
         return os.fstat(self._file.fileno()).st_size
 
-    def set_back(self, position: int) -> None:
+    def check(self, position: int) -> None:
         """
-        Cut the file to an earlier length.
+        See that the file can be cut to an earlier length.
 
         Raises:
             RunError: the file is shorter than that, or that is no place after its columns.
@@ -81,6 +81,9 @@ class CsvFile:
         size = os.fstat(self._file.fileno()).st_size
         if not self.least <= position <= size:
             raise RunError(f'{self.path}: {size} bytes, but {position} at the checkpoint')
+
+    def set_back(self, position: int) -> None:
+        """Cut the file to an earlier length."""
         self._file.truncate(position)
 
     def close(self) -> None:
@@ -174,15 +177,21 @@ class Tracking:
     def _files(self) -> tuple[str, ...]:
         return FILES if self.cars is None else (*FILES, 'cars')
 
-    def set_back(self, positions: dict[str, int]) -> None:
-        """Cut the CSV files to the lengths of a checkpoint; raises RunError."""
+    def check(self, positions: dict[str, int]) -> None:
+        """See that the CSV files can be cut to the lengths of a checkpoint; raises RunError."""
         for name in FILES:
-            getattr(self, name).set_back(positions[name])
+            getattr(self, name).check(positions[name])
         if self.cars is not None:
-            # one that was begun after the checkpoint is left without a row
-            self.cars.set_back(positions.get('cars', self.cars.least))
+            self.cars.check(positions.get('cars', self.cars.least))
         elif 'cars' in positions:
             raise RunError(f'{self._cars_path}: it is gone, and was there at the checkpoint')
+
+    def set_back(self, positions: dict[str, int]) -> None:
+        """Cut the CSV files to lengths that were checked."""
+        for name in self._files:
+            file = getattr(self, name)
+            # one that was begun after the checkpoint is left without a row
+            file.set_back(positions.get(name, file.least))
 
     def close(self) -> None:
         """Close all files."""

@@ -12,16 +12,21 @@ Who drives a run lets a `Driver` (`trainer_node/driver.py`) ask what is due when
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+import contextlib
 import dataclasses
 from pathlib import Path
+import shutil
 import time
 from typing import Any
 import uuid
 
+from dqn_policy_node.errors import ModelError
 from dqn_policy_node.model_description import ModelDescription
 from dqn_policy_node.model_folder import load_model, Model, save_model
+from dqn_policy_node.model_record import read_model_record
 from dqn_policy_node.shipped_models import find_model
 from dqn_policy_node.weights_message import AXES_SHARE, encode_weights
+from msgs_bridge.errors import BridgeError
 from msgs_bridge.machine import describe_machine
 from msgs_bridge.transitions import Transition
 from trainer_node.checkpoint import Checkpoint, Part, refuse_differences
@@ -35,6 +40,8 @@ from trainer_node.run_folder import now, RunFolder
 from trainer_node.run_record import RunRecord
 from trainer_node.tuner import Tuner
 
+# what of `run.json` says which recordings are learned from
+SOURCE = 'source'
 # sources whose episodes are told in the weights
 MOST_TOLD = 256
 
@@ -98,12 +105,18 @@ class Training:
             ModelError: there is no `initial_model`, or it is damaged.
         """
         folder = RunFolder(run_folder)
+        new = not folder.path.exists()
         folder.create()
         folder.remove_leftovers()
-        training = cls(settings, folder, device=device, tensorboard=tensorboard, clock=clock)
-        if settings.initial_model:
-            training.learning.begin_with(
-                load_model(find_model(settings.initial_model, folder.path)))
+        try:
+            training = cls(settings, folder, device=device, tensorboard=tensorboard, clock=clock)
+            if settings.initial_model:
+                training.learning.begin_with(
+                    load_model(find_model(settings.initial_model, folder.path)))
+        except BridgeError:
+            if new:
+                shutil.rmtree(folder.path, ignore_errors=True)
+            raise
         folder.write_config(to_yaml(settings))
         shown = training.learning.demonstrations
         training._begin_session({
@@ -144,6 +157,9 @@ class Training:
         folder.remove_leftovers()
         training = cls(settings, folder, device=device, tensorboard=tensorboard, clock=clock)
         training._checkpoint.restore(saved, training._parts, training.learning.replay)
+        with contextlib.suppress(ModelError):
+            training.selection.best_was(
+                read_model_record(folder.best).training.get('best_validation'))
         training._saved_seconds = training.wall_seconds
         training._begin_session(folder.read_record())
         if settings != saved.settings:
@@ -240,9 +256,9 @@ class Training:
         """
         learning, updates = self.learning, self.learning.learner.updates
         try:
-            learning.insert(transition, source)
+            goes_on = learning.insert(transition, source)
             if self.tuner is not None:
-                self.tuner.took(transition.command, source)
+                self.tuner.took(transition.command, source, goes_on=goes_on)
             while learning.due:
                 self._update()
         except LearningError as error:
@@ -364,21 +380,22 @@ class Training:
             values['best_validation'] = self.selection.best['mean']
         return values
 
-    def learns_from(self, source: list[str]) -> int:
+    def learns_from(self, names: list[str], limit: int | None = None) -> int:
         """
         Begin or go on with a recorded source of transitions.
 
         Args:
-            source: names of what is read, in order.
+            names: of what is read, in order.
+            limit: `run_decisions`, if it comes from how much there is; None if it does not.
 
         Returns:
             How many of its first transitions the run has taken before.
         """
-        found = self._record.noted('source')
-        if not isinstance(found, dict) or found.get('names') != source or not isinstance(
+        found = self._record.noted(SOURCE)
+        if not isinstance(found, dict) or found.get('names') != names or not isinstance(
                 found.get('first'), int):
-            found = {'names': source, 'first': self.learning.taken}
-            self._record.note('source', found)
+            found = {'names': names, 'first': self.learning.taken, 'run_decisions': limit}
+            self._record.note(SOURCE, found)
             self._write_run()
         return max(self.learning.taken - found['first'], 0)
 

@@ -74,9 +74,19 @@ class Tuner:
         # of the present episode of each source: its single commands, its decisions with the axes
         self._present: dict[str, list[int]] = {}
 
-    def took(self, command: Command, source: str = '') -> None:
-        """Take note of a decision that a car has driven."""
+    def took(self, command: Command, source: str = '', *, goes_on: bool = True) -> None:
+        """
+        Take note of a decision that a car has driven.
+
+        Args:
+            command: what was driven.
+            source: by which car, if there are several.
+            goes_on: whether it follows the one before; else that one's episode may have been cut
+                off, and is not counted as of this one.
+        """
         mode = self._space.mode(self._space.encode(command))
+        if not goes_on:
+            self._present.pop(source, None)
         self._present.setdefault(source, [0, 0])[not self._space.single[mode]] += 1
 
     def episode_ended(self, episodes: int, episode_return: float, source: str = '') -> bool:
@@ -122,7 +132,8 @@ class Tuner:
             raise ValueError(f'the share of the axes is {state.share}')
         if any(len(counts) != 2 for counts in state.present.values()):
             raise ValueError('an episode of the tuner is counted by two numbers')
-        self.share, self.series = state.share, list(state.series)
+        least = self._settings.tuner_least
+        self.share, self.series = min(max(state.share, least), 1 - least), list(state.series)
         self._of_commands, self._of_axes = list(state.of_commands), list(state.of_axes)
         self._present = {source: list(counts) for source, counts in state.present.items()}
 

@@ -48,7 +48,11 @@ def copy_without_replay(run: Path, copy: Path) -> None:
         training = Training.resume(copy, device='cpu')
         training.learning.forget_replay()
         training.save()
-    except (OSError, shutil.Error) as error:
+    except (OSError, BridgeError) as error:
+        # half a copy is none
+        shutil.rmtree(copy, ignore_errors=True)
+        if isinstance(error, BridgeError):
+            raise
         raise RunError(f'{copy} cannot be written: {error}') from None
     finally:
         folder.unlock()

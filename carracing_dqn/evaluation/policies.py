@@ -138,7 +138,7 @@ def model_source(model: str, device: str = 'cpu') -> PolicySource:
         ModelError: there is none of the three.
     """
     from dqn_policy_node import find_model
-    folder = Path(model).expanduser()
+    folder = Path(os.path.expanduser(model))
     if (folder / 'episodes.csv').is_file() and not (folder / 'model.json').is_file():
         for name in RUN_MODELS:
             if (folder / name / 'model.json').is_file():

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -87,7 +88,7 @@ def load_run(folder: Path | str) -> Run:
     Raises:
         RecordsError: there is no such folder, or nothing in it to report.
     """
-    folder = Path(folder).expanduser()
+    folder = Path(os.path.expanduser(folder))
     if not folder.is_dir():
         raise RecordsError(f'{folder}: there is no such run folder')
     path = next((folder / name for name in RECORD_FOLDERS

@@ -7,6 +7,7 @@ import argparse
 from collections.abc import Iterator
 import contextlib
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -116,10 +117,10 @@ def main(arguments: argparse.Namespace) -> int:
 
 def _find(text: str) -> Path:
     """Return a run folder, or the folder of a shipped model of that name."""
-    if not Path(text).expanduser().is_dir():
+    if not Path(os.path.expanduser(text)).is_dir():
         with contextlib.suppress(FileNotFoundError):
             return share_path(Path('models') / text)
-    return Path(text).expanduser()
+    return Path(os.path.expanduser(text))
 
 
 def _place(folder: Path) -> Path:

@@ -102,6 +102,8 @@ def outcome_of(run: PlannedRun, settings: StudySettings, problem: str = '') -> O
     laps = _laps(run.folder, settings)
     done = learned(folder) and len(laps) == settings.laps and (laps or episodes.rows)
     problem = '' if done else problem or _failure(run.folder)
+    if learned(folder) and not settings.laps and not episodes.rows:
+        problem = problem or 'no episode ended, and without laps it is judged by those'
     state = DONE if done else FAILED if problem else UNFINISHED
     return Outcome(run, state, problem, _curve(episodes, settings.curve),
                    laps if done else {}, _column(episodes, 'train_reward'),
@@ -161,7 +163,8 @@ def _figures(folder: RunFolder, episodes: Table) -> dict[str, float]:
     updates, _ = read_table(folder.updates, ())
     if len(values := _column(updates, 'q_mean')):
         found['q_mean'] = float(values[-1])
-    found['minutes'] = (folder.read_record().get('wall_seconds') or 0) / 60
+    seconds = folder.read_record().get('wall_seconds')
+    found['minutes'] = seconds / 60 if isinstance(seconds, float) else 0.0
     return {**figures, **{name: float(value) for name, value in found.items()
                           if isinstance(value, (int, float))}}
 

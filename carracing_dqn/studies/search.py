@@ -193,7 +193,7 @@ class Search:
             trials = record['trials'] if record['format'] == FORMAT else None
             if not all(self._could_be(values) for values in trials):
                 raise ValueError
-        except (ValueError, KeyError, TypeError, RecursionError):
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
             raise StudyError(f'{self._path} holds trials of another search; delete it, or name '
                              'another folder by --output') from None
         return trials[:self._settings.trials]

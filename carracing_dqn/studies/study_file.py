@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Mapping
 import dataclasses
 import itertools
+import os
 from pathlib import Path
 import re
 from typing import Any
@@ -137,8 +138,9 @@ def study_names() -> list[str]:
 
 def find_study(name: str) -> Path:
     """Return the file of a study, by path or by name; raises StudyError."""
-    path = Path(name).expanduser()
-    if path.is_file():
+    path = Path(os.path.expanduser(name))
+    # a name may be none that a file can have
+    if os.path.isfile(path):
         return path
     for folder in share_folders():
         if NAME.fullmatch(name) and (folder / FOLDER / f'{name}.yaml').is_file():
