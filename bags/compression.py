@@ -68,3 +68,20 @@ def unpack(compression: str, data: Any, size: int) -> Any:
     if len(unpacked) != size:
         raise BagError(f'chunk says {size} bytes but unpacks to {len(unpacked)}')
     return unpacked
+
+
+def unpack_message(data: bytes) -> bytes:
+    """
+    Return what a message holds that was packed by itself with zstd.
+
+    Raises:
+        BagError: damaged data, or data that do not say that they unpack to at most 256 MiB.
+    """
+    try:
+        size = zstandard.frame_content_size(data)
+    except zstandard.ZstdError as error:
+        raise BagError(f'message cannot be unpacked: {error}') from None
+    if not 0 <= size <= MAX_CHUNK:
+        told = f'unpacks to {size} bytes' if size >= 0 else 'does not say its size'
+        raise BagError(f'message {told}; accepted: {MAX_CHUNK}')
+    return unpack('zstd', data, size)

@@ -3,11 +3,13 @@
 """The episodes that a bag holds, from its `step` bundles."""
 from __future__ import annotations
 
+from collections import Counter
 import dataclasses
+from typing import Any
 
 from bags.decode import decode_bundle
 from bags.reader import BagReader
-from bags.steps import decode_step
+from bags.steps import decode_step, usable
 from bags.topic_lookup import find_topic
 from carracing_dqn.simulation.checks import LONGEST_FRAME, SHORTEST_FRAME
 from msgs_bridge.simulator import FRAME_SECONDS
@@ -43,21 +45,26 @@ class Episode:
 
 
 def episode_constants(
-    reader: BagReader, *, namespace: str = '',
+    reader: BagReader, *, namespace: str = '', counts: Counter[str] | None = None,
 ) -> dict[int, dict[str, float]]:
     """
     Return episode -> what its `episode` messages say is constant for the run, and more.
 
+    Args:
+        reader: the bag.
+        namespace: where the topics of the car are; needed if there are several.
+        counts: follows how many messages were `rejected`, as they cannot be used.
+
     Raises:
         BagError: a damaged bag.
-        MessageError: an `episode` bundle that lacks what it must have.
     """
     name = find_topic(reader, EPISODE, namespace=namespace)
-    constants = {}
-    for message in reader.messages([name]) if name else ():
-        values = decode_bundle(message.data, name).values_with(('episode',))
-        constants[int(values['episode'])] = values
-    return constants
+
+    def decode(data: Any) -> dict[str, float]:
+        return decode_bundle(data, name).values_with(('episode',))
+
+    messages = reader.messages([name]) if name else ()
+    return {int(values['episode']): values for _, values in usable(messages, decode, counts)}
 
 
 def frame_seconds(reader: BagReader, *, namespace: str = '') -> float:
@@ -65,20 +72,26 @@ def frame_seconds(reader: BagReader, *, namespace: str = '') -> float:
     Return the simulated seconds of a frame, CarRacing's where the bag does not say it.
 
     Raises:
-        BagError, MessageError: as `episode_constants`.
+        BagError: a damaged bag.
     """
     said = [values['frame_seconds'] for values in episode_constants(
         reader, namespace=namespace).values() if 'frame_seconds' in values]
     return said[0] if said and SHORTEST_FRAME <= said[0] <= LONGEST_FRAME else FRAME_SECONDS
 
 
-def find_episodes(reader: BagReader, *, namespace: str = '') -> list[Episode]:
+def find_episodes(
+    reader: BagReader, *, namespace: str = '', counts: Counter[str] | None = None,
+) -> list[Episode]:
     """
     Return the episodes of a bag in order; none if it has no `step` topic.
 
+    Args:
+        reader: the bag.
+        namespace: where the topics of the car are; needed if there are several.
+        counts: follows how many messages were `rejected`, as they cannot be used.
+
     Raises:
         BagError: a damaged bag.
-        MessageError: a `step` bundle that lacks what it must have.
     """
     name = find_topic(reader, STEP, namespace=namespace)
     if name is None:
@@ -86,8 +99,8 @@ def find_episodes(reader: BagReader, *, namespace: str = '') -> list[Episode]:
     episodes: list[Episode] = []
     present: Episode | None = None
     from_start = False
-    for message in reader.messages([name]):
-        _, step = decode_step(message.data, name)
+    for message, (_, step) in usable(
+            reader.messages([name]), lambda data: decode_step(data, name), counts):
         if present is None or step.episode != present.number or (
                 step.decision == 0 and present.decisions > 0):
             present = Episode(step.episode, step.seed, message.log_time)

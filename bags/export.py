@@ -11,25 +11,37 @@ import io
 import itertools
 from pathlib import Path
 
+from bags.decode import decode_bundle
 from bags.episodes import frame_seconds
 from bags.errors import BagError
 from bags.frames import recorded_frames, RecordedFrame
 from bags.painter import FramePainter
 from bags.reader import BagReader
+from bags.steps import decode_step, usable
+from bags.topic_lookup import find_topic, need_topic
 from msgs_bridge.atomic_write import atomic_file, remove_leftovers
 from msgs_bridge.stamps import NANOSECONDS
+from msgs_bridge.topics import Q_VALUES, STEP
 
 # seconds that the last picture of an episode stays
 PAUSE = 0.5
+# what a video counts time in at least, in seconds
+SHORTEST_TICK = Fraction(1, 100_000)
 # muxer and its options, encoder and its options, and seconds from picture to picture at least
 FORMATS = {
-    '.mp4': ('mp4', {}, 'libx264', {'crf': '18'}, 0.0),
+    # its length is in milliseconds else, and pictures beyond it are shown by nobody
+    '.mp4': ('mp4', {'movie_timescale': str(SHORTEST_TICK.denominator)}, 'libx264',
+             {'crf': '18'}, 0.0),
     # for pages: plays by itself, again and again, and has to stay small
     '.webp': ('webp', {'loop': '0'}, 'libwebp_anim', {'quality': '50'}, 0.1),
 }
 MAX_SCALE = 20
 # rows or columns of a picture in the video
 MAX_SIDE = 2160
+# of a table; every row has all of them
+MAX_COLUMNS = 2000
+# simulated frames that a picture stays at most, whatever a bag says; more than an action is held
+MAX_FRAMES = 1000
 # what is drawn where the first image is missing: width and height of CarRacing's
 UNSEEN = (96, 96)
 
@@ -50,20 +62,18 @@ def export_csv(
         The number of rows.
 
     Raises:
-        BagError: the file exists, the bag is damaged, or lacks the episode.
+        BagError: the file exists, the bag is damaged, lacks the episode, or has values of too
+            many names.
     """
     _prepare(path)
     frames = _chosen(reader, namespace, episode)
-    # the first decision tells the names of the actions
-    ahead = list(itertools.islice(frames, 2))
-    names = list(dict.fromkeys(key for frame in ahead for key in frame.step.values()))
-    actions = list(dict.fromkeys(key for frame in ahead for key in frame.q_values))
+    names, actions = _columns(reader, namespace, episode)
     rows = 0
     with atomic_file(path) as file:
         text = io.TextIOWrapper(file, encoding='utf-8', newline='', write_through=True)
         table = csv.writer(text, lineterminator='\n')
         table.writerow(['stamp', *names, *(f'q_{name}' for name in actions)])
-        for frame in itertools.chain(ahead, frames):
+        for frame in frames:
             values = frame.step.values()
             table.writerow([
                 f'{frame.stamp / NANOSECONDS:.9f}',
@@ -108,7 +118,8 @@ def export_video(
     if not 0.01 <= speed <= 100:
         raise BagError(f'speed is {speed:g}; accepted: 0.01 to 100')
     seconds = frame_seconds(reader, namespace=namespace)
-    base = Fraction(seconds / speed).limit_denominator(100_000)
+    base = max(Fraction(seconds / speed).limit_denominator(SHORTEST_TICK.denominator),
+               SHORTEST_TICK)
     painter: FramePainter | None = None
     pictures = time = due = 0
     q_values: dict[str, float] = {}
@@ -128,7 +139,8 @@ def export_video(
             # the last frame of an episode leads to no decision
             q_values = frame.q_values or q_values
             if pictures:
-                time += int(frame.step.info.get('frames', 1)) or round(PAUSE / seconds)
+                passed = min(max(int(frame.step.info.get('frames', 1)), 0), MAX_FRAMES)
+                time += passed or max(round(PAUSE / seconds), 1)
             if time < due:
                 continue
             due = time + round(apart / base)
@@ -138,6 +150,28 @@ def export_video(
             pictures += 1
         container.mux(stream.encode(None))
     return pictures
+
+
+def _columns(
+    reader: BagReader, namespace: str, episode: int | None,
+) -> tuple[list[str], list[str]]:
+    """Return the names of the `step` values and of the Q-values: any may come late in a bag."""
+    steps = need_topic(reader, STEP, namespace=namespace)
+    q_values = find_topic(reader, Q_VALUES, namespace=namespace)
+    names: dict[str, None] = {}
+    actions: dict[str, None] = {}
+    for _, (_, step) in usable(
+            reader.messages([steps]), lambda data: decode_step(data, steps)):
+        if episode in (None, step.episode):
+            names.update(dict.fromkeys(step.values()))
+    for _, values in usable(
+            reader.messages([q_values]) if q_values else (),
+            lambda data: decode_bundle(data, q_values).values_with()):
+        actions.update(dict.fromkeys(values))
+    if len(names) + len(actions) > MAX_COLUMNS:
+        raise BagError(f'{reader.path} has values of {len(names) + len(actions)} names; '
+                       f'accepted: up to {MAX_COLUMNS}')
+    return list(names), list(actions)
 
 
 def _chosen(

@@ -47,7 +47,8 @@ def load_images(
     Return all images of a topic: stamps, int64 (N,) in ns, and pixels, uint8 (N, H, W, 3).
 
     Raises:
-        BagError: no such topic, images of different sizes, or a damaged bag.
+        BagError: no such topic, images of different sizes, more than memory holds, or a damaged
+            bag.
         MessageError: an image that cannot be used.
     """
     name = topic or need_topic(reader, IMAGE, namespace=namespace)
@@ -58,8 +59,12 @@ def load_images(
     for stamp, pixels in bag_images(reader, topic=name):
         if number == 0:
             # the count comes from the file: what it promises is allocated but not yet touched
-            stamps = np.empty(count, np.int64)
-            frames = np.empty((count, *pixels.shape), np.uint8)
+            try:
+                stamps = np.empty(count, np.int64)
+                frames = np.empty((count, *pixels.shape), np.uint8)
+            except (ValueError, MemoryError):
+                raise BagError(f'{name}: {count} images of {pixels.shape[1]}x{pixels.shape[0]} '
+                               'do not fit into memory') from None
         if pixels.shape != frames.shape[1:]:
             raise BagError(f'{name}: image {number} is {pixels.shape[1]}x{pixels.shape[0]}, '
                            f'those before are {frames.shape[2]}x{frames.shape[1]}')

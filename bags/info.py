@@ -3,6 +3,7 @@
 """What a bag holds, as `ros2 bag info` shows it, and the episodes in it."""
 from __future__ import annotations
 
+from collections import Counter
 import dataclasses
 import datetime
 from typing import Any
@@ -13,7 +14,6 @@ from rich.text import Text
 
 from bags.episodes import Episode, find_episodes
 from bags.reader import BagReader
-from msgs_bridge.errors import MessageError
 from msgs_bridge.plain_text import plain
 
 # characters of a value of the bag that are shown; --json has all
@@ -30,12 +30,11 @@ def bag_info(reader: BagReader, *, namespace: str = '') -> dict[str, Any]:
         BagError: a damaged bag.
     """
     seconds = (reader.end_time - reader.start_time) / 1e9
-    try:
-        episodes = find_episodes(reader, namespace=namespace)
-    except MessageError as error:
-        # somebody else's topic of that name
-        episodes = []
-        reader.problems.append(f'no episodes: {error}')
+    counts: Counter[str] = Counter()
+    episodes = find_episodes(reader, namespace=namespace, counts=counts)
+    # all of them, if it is somebody else's topic of that name
+    if counts['rejected']:
+        reader.problems.append(f'{counts["rejected"]} messages of step cannot be used')
     whole = [episode for episode in episodes if episode.whole]
     return {
         'path': str(reader.path),
@@ -76,21 +75,23 @@ def show_info(info: dict[str, Any], console: Console) -> None:
 def _head(info: dict[str, Any]) -> Table:
     table = Table.grid(padding=(0, 2))
     names = ', '.join(file['name'] for file in info['files'])
-    rows = {
-        'bag': info['path'],
-        'files': names if len(info['files']) <= 4 else f'{len(info["files"])} files',
-        'size': _size(info['bytes']),
-        'storage': ', '.join(filter(None, (
-            info['storage'], info['compression'], info['ros_distro']))),
-        'start': _time_of_day(info['start_time']),
-        'duration': f'{info["seconds"]:.3f} s',
-        'messages': f'{info["messages"]:,}',
-    }
-    rows.update(info['custom_data'])
-    rows.update({f'problem {number}': problem
-                 for number, problem in enumerate(info['problems'], 1)})
-    for name, value in rows.items():
-        table.add_row(Text(plain(name), style='bold'), Text(plain(value, SHOWN)))
+    rows = [
+        ('bag', info['path']),
+        ('files', names if len(info['files']) <= 4 else f'{len(info["files"])} files'),
+        ('size', _size(info['bytes'])),
+        ('storage', ', '.join(filter(None, (
+            info['storage'], info['compression'], info['ros_distro'])))),
+        ('start', _time_of_day(info['start_time'])),
+        ('duration', f'{info["seconds"]:.3f} s'),
+        ('messages', f'{info["messages"]:,}'),
+    ]
+    rows += [(f'problem {number}', problem)
+             for number, problem in enumerate(info['problems'], 1)]
+    # names out of the bag, which must not be taken for what was found
+    rows += [('custom_data', '')] * bool(info['custom_data'])
+    rows += [(f'  {plain(name)}', value) for name, value in info['custom_data'].items()]
+    for name, value in rows:
+        table.add_row(Text(name, style='bold'), Text(plain(value, SHOWN)))
     return table
 
 

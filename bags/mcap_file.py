@@ -8,10 +8,12 @@ The file is mapped into memory; messages are views into the map, or into an unpa
 from __future__ import annotations
 
 from collections.abc import Container, Iterator
+import contextlib
 import dataclasses
 import heapq
 import mmap
 from pathlib import Path
+import resource
 import stat
 from typing import NamedTuple
 import zlib
@@ -31,8 +33,10 @@ MAX_UNPACKED = 1 << 30
 STRETCH_BYTES = 4 << 20
 ENCODING = 'cdr'
 
-# op codes of the specification; in a damaged file any other one means that the place is wrong
+# op codes of the specification, and those it leaves to applications; in a damaged file any other
+# one means that the place is wrong
 KNOWN_OPCODES = range(0x01, 0x10)
+PRIVATE_OPCODES = range(0x80, 0x100)
 
 
 class RawMessage(NamedTuple):
@@ -82,6 +86,7 @@ class McapFile:
         problem: why it is not complete, in words.
         whole_until: where the records that follow each other from the start end.
         damage: what was passed over because it is damaged, each a sentence (if not strict).
+        private: records of an application that were passed over.
     """
 
     def __init__(self, path: Path | str, *, strict: bool = True) -> None:
@@ -109,6 +114,7 @@ class McapFile:
         self.problem = ''
         self.whole_until = 0
         self.damage: list[str] = []
+        self.private = 0
         self._plain: list[int] = []
         self._map: mmap.mmap | None = None
         try:
@@ -203,6 +209,10 @@ class McapFile:
                 self._learn(opcode, data[start:position])
         return messages
 
+    def filled_spans(self) -> list[Span]:
+        """Return the spans that hold messages; a chunk without any says 0 for both times."""
+        return [span for span in self.spans if span.end_time or self._holds_messages(span)]
+
     def messages(
         self,
         channels: Container[int] | None = None,
@@ -261,6 +271,12 @@ class McapFile:
                 heapq.heapreplace(
                     pending, (message.log_time, number, count + 1, following, message))
 
+    def _holds_messages(self, span: Span) -> bool:
+        # what is damaged is told where it is read
+        with contextlib.suppress(BagError):
+            return bool(self.span_messages(span))
+        return False
+
     def _scan(self, strict: bool) -> None:
         """Go through the records of the file and note where messages lie."""
         if strict and (self.size < len(MAGIC) or self._view[:len(MAGIC)] != MAGIC):
@@ -285,7 +301,9 @@ class McapFile:
                 self.problem = (f'the record at byte {position} needs {length} bytes, '
                                 f'{self.size - start} are there')
                 break
-            if not strict and opcode not in KNOWN_OPCODES:
+            if opcode in PRIVATE_OPCODES:
+                self.private += 1
+            elif not strict and opcode not in KNOWN_OPCODES:
                 self.problem = f'there is no record at byte {position}'
                 break
             try:
@@ -396,6 +414,15 @@ class McapFile:
 
     def _damaged(self, span: Span, why: str) -> BagError:
         return BagError(f'{self.path}: the chunk at byte {span.offset} is damaged: {why}')
+
+
+def make_room(files: int) -> None:
+    """Let the process have so many files open, as far as it may: a map keeps its descriptor."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    # a few files need no more than there is
+    if files > soft // 2:
+        wanted = soft + files if hard == resource.RLIM_INFINITY else min(soft + files, hard)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
 
 
 def _log_time(message: RawMessage) -> int:

@@ -136,7 +136,20 @@ def metadata_from_text(text: str, what: str) -> BagMetadata:
     Raises:
         BagError: not YAML, or not what rosbag2 writes.
     """
-    content = load_yaml(text, what, BagError)
+    return _from_content(load_yaml(text, what, BagError), what)
+
+
+def metadata_from_record(text: str, what: str) -> BagMetadata:
+    """
+    Read the `rosbag2` record of an MCAP file, which is `metadata.yaml` without its top-level key.
+
+    Raises:
+        BagError: not YAML, or not what rosbag2 writes.
+    """
+    return _from_content({ROOT: load_yaml(text, what, BagError)}, what)
+
+
+def _from_content(content: dict[str, Any], what: str) -> BagMetadata:
     try:
         return _from_body(content[ROOT], what)
     except KeyError as error:

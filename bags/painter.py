@@ -3,11 +3,14 @@
 """A frame as people look at it: the picture, and beside it reward, speed, controls, Q-values."""
 from __future__ import annotations
 
+import math
+
 from PIL import Image, ImageDraw, ImageFont
 import numpy as np
 
 from bags.frames import RecordedFrame
 from msgs_bridge.step import Q_VALUE_AXES, Q_VALUE_EXTRAS, Step
+from msgs_bridge.twists import Command
 
 PANEL_WIDTH = 320
 MARGIN = 14
@@ -39,7 +42,8 @@ class FramePainter:
 
         Args:
             frame: what was recorded; a missing image stays dark.
-            q_values: of the newest decision, as the `q_values` topic names them.
+            q_values: of the newest decision, as the `q_values` topic names them; those that are
+                not finite are left out.
         """
         canvas = Image.new('RGB', (self.width, self.height), BACKGROUND)
         if frame.pixels is not None:
@@ -77,7 +81,7 @@ class FramePainter:
     def _controls(
         self, draw: ImageDraw.ImageDraw, info: dict[str, float], left: int, top: int,
     ) -> int:
-        linear, angular = info.get('linear', 0.0), info.get('angular', 0.0)
+        linear, angular = Command(info.get('linear', 0.0), info.get('angular', 0.0)).clamped()
         width = PANEL_WIDTH - 100 - 2 * MARGIN
         for name, value, colour in (
             ('steer', -angular, BLUE), ('gas', max(linear, 0.0), GREEN),
@@ -94,23 +98,25 @@ class FramePainter:
         self, draw: ImageDraw.ImageDraw, q_values: dict[str, float], left: int, top: int,
     ) -> None:
         names = [name for name in q_values if name not in {**Q_VALUE_EXTRAS, **Q_VALUE_AXES}]
-        actions = [(number, name, q_values[name]) for number, name in enumerate(names)]
+        actions = [(number, name, q_values[name]) for number, name in enumerate(names)
+                   if math.isfinite(q_values[name])]
         if not actions:
             return
-        chosen = {int(q_values.get(name, -1)) for name in ('chosen', 'chosen_second')}
+        chosen = {q_values.get(name, -1) for name in ('chosen', 'chosen_second')}
         width = PANEL_WIDTH - 170 - 2 * MARGIN
         # of more than there is room for, what was chosen and the highest
         actions = sorted(sorted(
             actions, key=lambda row: (row[0] not in chosen, -row[2])
         )[:(self.height - top) // LINE])
-        lowest = min(value for _, _, value in actions)
-        spread = max(value for _, _, value in actions) - lowest or 1.0
+        # in halves, as the difference of two numbers may be more than a number holds
+        lowest = min(value for _, _, value in actions) / 2
+        spread = max(value for _, _, value in actions) / 2 - lowest or 1.0
         for number, name, value in actions:
             colour = TEXT if number in chosen else DIM
             draw.text((left, top), name[:13], colour, self._font)
             draw.text((left + 105, top), f'{value:7.2f}', colour, self._font)
             # the bars show the differences, which are small beside the values
-            _bar(draw, left + 170, top, 2 + round((value - lowest) / spread * (width - 2)),
+            _bar(draw, left + 170, top, 2 + round((value / 2 - lowest) / spread * (width - 2)),
                  GREEN if number in chosen else BLUE)
             top += LINE
 

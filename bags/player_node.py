@@ -176,9 +176,9 @@ class BagPlayerNode(NodeShell):
         if self._closed:
             return
         self._closed = True
+        self._done.set()
         self._playback.stop()
         self._answers.stop()
-        self._done.set()
         self._thread.join()
         self._terminal.close()
         seconds = time.monotonic() - self._began
@@ -287,6 +287,7 @@ class BagPlayerNode(NodeShell):
             self._terminal.waiting = ''
             place = self._start
             while not self._done.is_set():
+                played = self._playback.played
                 self._ahead = ReadAhead(
                     self._reader.messages(
                         [*self._outputs, *self._compared], place, self._stop))
@@ -295,11 +296,12 @@ class BagPlayerNode(NodeShell):
                     self._playback.play(self._ahead)
                 finally:
                     self._ahead.close()
-                place = self._playback.wound()
+                begun, place = place, self._playback.wound()
                 if place is None:
-                    place = self._start
-                    if not self.settings.loop or not self._outputs:
+                    if (not self.settings.loop or not self._outputs
+                            or self._plays_nothing(begun, played)):
                         break
+                    place = self._start
             deadline = time.monotonic() + LAST_WORDS
             for publisher in self._outputs.values():
                 left = deadline - time.monotonic()
@@ -310,6 +312,13 @@ class BagPlayerNode(NodeShell):
             self._error = error
         finally:
             self._done.set()
+
+    def _plays_nothing(self, begun: int, played: int) -> bool:
+        """Return whether a whole pass played nothing, and say that it would go on for ever."""
+        if begun != self._start or self._playback.played != played or self._done.is_set():
+            return False
+        self.get_logger().warn('there is no message in what is to be played again and again')
+        return True
 
     def _wait_for_subscribers(self) -> None:
         seconds = self.settings.wait_for_subscribers

@@ -11,11 +11,12 @@ from collections.abc import Collection, Iterator
 from pathlib import Path
 
 from bags.errors import BagError
-from bags.mcap_file import McapFile
+from bags.mcap_file import make_room, McapFile
 from bags.messages import BagMessage, BagTopic, Storage
 from bags.metadata import BagMetadata, FILE_NAME, read_metadata
 from bags.qos_text import qos_from_text
 from bags.schemas import Schema
+from bags.sqlite_storage import SqliteStorage
 
 
 class BagReader:
@@ -51,9 +52,8 @@ class BagReader:
         self.files = self._find_files(strict)
         self.storage = 'sqlite3' if self.files[0].suffix == '.db3' else 'mcap'
         if self.storage == 'sqlite3':
-            # its library is not needed for anything else
-            from bags.sqlite_storage import SqliteStorage
-            self._storage: Storage = SqliteStorage(self.path, self.files)
+            self._storage: Storage = SqliteStorage(
+                self.files, packed=bool(self.metadata and self.metadata.compression_mode))
         else:
             self._storage = McapStorage(self.files, strict=strict, problems=self.problems)
         self.topics = self._storage.topics
@@ -131,7 +131,9 @@ class BagReader:
             raise BagError(f'{self.path} has storage {self.metadata.storage_identifier!r}; '
                            'accepted: mcap, sqlite3')
         mode = self.metadata.compression_mode
-        if mode == 'file' or (mode and self.metadata.storage_identifier == 'mcap'):
+        packed = self.metadata.compression_format
+        if mode and (mode, packed, self.metadata.storage_identifier) != (
+                'message', 'zstd', 'sqlite3'):
             raise BagError(
                 f'{self.path} is compressed {mode} by {mode}; unpack it with `ros2 bag convert`, '
                 'or record with chunk compression')
@@ -180,6 +182,7 @@ class McapStorage:
         self.files: list[McapFile] = []
         self.topics: dict[str, BagTopic] = {}
         self.provenance: dict[str, str] = {}
+        make_room(len(paths))
         try:
             for path in paths:
                 file = McapFile(path, strict=strict)
@@ -194,10 +197,10 @@ class McapStorage:
         except BaseException:
             self.close()
             raise
+        filled = {file: file.filled_spans() for file in self.files}
         self.files.sort(key=lambda file: min(
-            (span.start_time for span in file.spans if span.end_time), default=2 ** 64))
-        # a chunk without messages says 0 for both
-        spans = [span for file in self.files for span in file.spans if span.end_time]
+            (span.start_time for span in filled[file]), default=2 ** 64))
+        spans = [span for some in filled.values() for span in some]
         self.start_time = min((span.start_time for span in spans), default=0)
         self.end_time = max((span.end_time for span in spans), default=0)
         self.message_count = sum(topic.message_count for topic in self.topics.values())
@@ -250,7 +253,10 @@ class McapStorage:
 
 def data_files(folder: Path) -> list[Path]:
     """Return the MCAP files of a folder in the order of their numbers."""
-    def number(path: Path) -> tuple[int, str]:
-        tail = path.stem.rpartition('_')[2]
-        return (int(tail) if tail.isdecimal() else 0, path.name)
-    return sorted(folder.glob('*.mcap'), key=number)
+    return sorted(folder.glob('*.mcap'), key=lambda path: (file_number(path), path.name))
+
+
+def file_number(path: Path) -> int:
+    """Return the number at the end of a file's name, 0 without one."""
+    tail = path.stem.rpartition('_')[2]
+    return int(tail) if tail.isdecimal() else 0

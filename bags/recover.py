@@ -3,19 +3,20 @@
 """Make a bag that was cut off whole: every whole chunk, with index and `metadata.yaml`."""
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+from itertools import pairwise
 from pathlib import Path
 
 from bags.compression import COMPRESSIONS
 from bags.errors import BagError
-from bags.mcap_file import ENCODING, McapFile
-from bags.metadata import FILE_NAME
+from bags.mcap_file import ENCODING, make_room, McapFile
+from bags.metadata import BagMetadata, FILE_NAME, metadata_from_record, read_metadata
 from bags.qos_text import qos_from_text
-from bags.reader import data_files
+from bags.reader import data_files, file_number
 from bags.salvage import open_damaged
 from bags.schemas import Schema
 from bags.writer import BagWriter, PROVENANCE_RECORD, ROSBAG2_RECORD
-from msgs_bridge.yaml_text import load_yaml
 
 
 @dataclasses.dataclass
@@ -56,6 +57,7 @@ def recover_bag(source: Path | str, target: Path | str) -> Recovery:
     if not paths:
         raise BagError(f'{source} holds no .mcap file; others cannot be recovered here')
     recovery = Recovery()
+    make_room(len(paths))
     files = []
     try:
         for path in paths:
@@ -67,30 +69,74 @@ def recover_bag(source: Path | str, target: Path | str) -> Recovery:
                     recovery.remarks.append(
                         f'{path.name}: {file.problem}; {lost} bytes were lost')
             except BagError as error:
-                recovery.lost_bytes += path.stat().st_size
+                with contextlib.suppress(OSError):
+                    recovery.lost_bytes += path.stat().st_size
                 recovery.remarks.append(f'{error}; nothing of it could be saved')
         if not files:
             raise BagError(recovery.remarks[0])
-        if source.is_dir() and not (source / FILE_NAME).exists():
-            recovery.remarks.append(f'there was no {FILE_NAME}')
-        _copy(files, Path(target), recovery)
+        told = _told(files)
+        if source.is_dir():
+            if (source / FILE_NAME).exists():
+                with contextlib.suppress(BagError):
+                    told.append(read_metadata(source))
+            else:
+                recovery.remarks.append(f'there was no {FILE_NAME}')
+            recovery.remarks += _missing(paths, told)
+        _copy(files, told, Path(target), recovery)
     finally:
         for file in files:
             file.close()
     return recovery
 
 
-def _copy(files: list[McapFile], target: Path, recovery: Recovery) -> None:
+def _told(files: list[McapFile]) -> list[BagMetadata]:
+    """Return what the newest `rosbag2` records say of the bag, the newest last."""
+    told: list[BagMetadata] = []
+    for file in reversed(files):
+        text = file.metadata.get(ROSBAG2_RECORD, {}).get('serialized_metadata', '')
+        with contextlib.suppress(BagError):
+            told.insert(0, metadata_from_record(text, 'the rosbag2 record'))
+            # one from the end of a file tells of all before it
+            if told[0].files:
+                break
+    return told
+
+
+def _missing(paths: list[Path], told: list[BagMetadata]) -> list[str]:
+    """Return a sentence for each file that was named and for each gap in the numbers."""
+    there = {path.name for path in paths}
+    named = sorted({file.path for metadata in told for file in metadata.files} - there)
+    remarks = [f'{name} is not there as an .mcap file; nothing of it could be saved'
+               for name in named]
+    numbers = [file_number(Path(name)) for name in named]
+    for before, after in pairwise(paths):
+        low, high = file_number(before), file_number(after)
+        lacking = high - low - 1 - sum(low < number < high for number in numbers)
+        if lacking > 0:
+            remarks.append(f'between {before.name} and {after.name} files are missing: {lacking}; '
+                           'nothing of them could be saved')
+    return remarks
+
+
+def _copy(
+    files: list[McapFile], told: list[BagMetadata], target: Path, recovery: Recovery,
+) -> None:
     compression = next((span.compression for file in files for span in file.spans), '')
     names = {name: kind for kind, name in COMPRESSIONS.items()}
     with BagWriter(
-        target, compression=names.get(compression, 'zstd'), custom_data=_custom_data(files),
+        target, compression=names.get(compression, 'zstd'),
+        custom_data=_custom_data(files, told),
     ) as writer:
         topics: dict[tuple[str, str], int] = {}
         for number, file in enumerate(files):
             if number:
                 writer.next_file()
             _copy_file(file, writer, topics, recovery)
+        for metadata in told:
+            for topic in metadata.topics:
+                # also that of publishers who came after the first message
+                if topic.qos and (topic.name, topic.type_name) in topics:
+                    writer.add_offers(topics[topic.name, topic.type_name], topic.qos)
         recovery.messages = writer.message_count
 
 
@@ -145,17 +191,11 @@ def _topic(
     return number
 
 
-def _custom_data(files: list[McapFile]) -> dict[str, str]:
-    """Return the origin of the run, from whichever record still has it."""
+def _custom_data(files: list[McapFile], told: list[BagMetadata]) -> dict[str, str]:
+    """Return the origin of the run, and what came to it later, from all that still have it."""
+    data: dict[str, str] = {}
     for file in files:
-        if PROVENANCE_RECORD in file.metadata:
-            return file.metadata[PROVENANCE_RECORD]
-        text = file.metadata.get(ROSBAG2_RECORD, {}).get('serialized_metadata', '')
-        try:
-            body = load_yaml(text, 'the rosbag2 record', BagError)
-        except BagError:
-            continue
-        data = body.get('custom_data') if isinstance(body, dict) else None
-        if isinstance(data, dict):
-            return {str(key): str(value) for key, value in data.items()}
-    return {}
+        data.update(file.metadata.get(PROVENANCE_RECORD, {}))
+    for metadata in told:
+        data.update(metadata.custom_data)
+    return data

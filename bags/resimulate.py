@@ -23,7 +23,7 @@ from bags.episodes import episode_constants
 from bags.errors import BagError
 from bags.frames import recorded_frames, RecordedFrame
 from bags.reader import BagReader
-from bags.steps import decode_step
+from bags.steps import decode_step, usable
 from bags.topic_lookup import find_topic
 from carracing_dqn.simulation import find_simulator
 from carracing_dqn.simulation.registry import DEFAULT
@@ -38,7 +38,7 @@ from msgs_bridge.twists import Command
 DEFAULT_SEED = 42
 DEFAULT_MAX_FRAMES = 1000
 MAX_NAMED = 10
-# episodes of a stream that are passed over one after the other to get to one
+# episodes of streams that are passed over, all together, to get to those that are in the bag
 MAX_STREAM = 100_000
 
 
@@ -53,6 +53,8 @@ class Resimulation:
         differing_images, differing_rewards, differing_ends, differing_info: which it was.
         skipped: reason -> episodes that could not be driven again.
         missing_images: frames whose image is not in the bag; their other values are compared.
+        rejected: `episode` messages that cannot be used. What else cannot is passed over, and
+            counted where transitions are joined.
         partings: the first frame of each episode that differed, in words.
     """
 
@@ -64,6 +66,7 @@ class Resimulation:
     differing_ends: int = 0
     differing_info: int = 0
     missing_images: int = 0
+    rejected: int = 0
     skipped: Counter[str] = dataclasses.field(default_factory=Counter)
     partings: list[str] = dataclasses.field(default_factory=list)
 
@@ -91,7 +94,9 @@ class Resimulator:
         self._reader = reader
         self._namespace = namespace
         self._given = _simulator_settings(reader)
-        self._constants = episode_constants(reader, namespace=namespace)
+        counts: Counter[str] = Counter()
+        self._constants = episode_constants(reader, namespace=namespace, counts=counts)
+        self.result.rejected = counts['rejected']
         named = simulator or self._given.get('simulator')
         name = str(named or DEFAULT)
         self._named = named is not None
@@ -111,6 +116,7 @@ class Resimulator:
         self._settings: Any = None
         self._simulator: Simulator | None = None
         self._stream_at: int | None = None
+        self._may_pass_over = MAX_STREAM
         self._driving: int | None = None
         self._steps = 0
         self._return = 0.0
@@ -123,26 +129,44 @@ class Resimulator:
 
         Raises:
             BagError: a damaged bag, or one without images or steps.
-            MessageError: a message that cannot be used.
+            SimulatorError: the simulator cannot be made, or cannot go on.
         """
-        for frame in recorded_frames(self._reader, namespace=self._namespace):
-            number = frame.step.episode
-            if number in self._not_driven:
-                continue
-            if self._cannot:
-                self._skip(number, self._cannot)
-            elif frame.step.decision == 0:
-                self._begin(frame, number)
-            elif number == self._driving:
-                self._advance(frame)
-            else:
-                self._skip(number, 'begun before the recording')
+        for frame in recorded_frames(
+                self._reader, namespace=self._namespace, with_q_values=False):
+            try:
+                self._take(frame)
+            except (BagError, MessageError) as error:
+                self._part(frame, str(error))
+                self.result.differing_frames += 1
+                self._leave(frame.step.episode)
         return self.result
 
-    def _skip(self, number: int, reason: str) -> None:
+    def _take(self, frame: RecordedFrame) -> None:
+        number = frame.step.episode
+        begins = frame.step.decision == 0
+        if begins:
+            # a simulator that was started again begins to count again
+            self._not_driven.discard(number)
+            self._parted = False
+        elif number in self._not_driven:
+            return
+        if self._cannot:
+            self._skip(number, self._cannot)
+        elif begins:
+            self._begin(frame, number)
+        elif number == self._driving:
+            self._advance(frame)
+        else:
+            self._skip(number, 'begun before the recording')
+
+    def _leave(self, number: int) -> None:
+        """Drive nothing more of an episode: there is nothing to compare it with."""
         self._not_driven.add(number)
-        self.result.skipped[reason] += 1
         self._driving = None
+
+    def _skip(self, number: int, reason: str) -> None:
+        self.result.skipped[reason] += 1
+        self._leave(number)
 
     def _begin(self, frame: RecordedFrame, number: int) -> None:
         # the constants of version 0.1 stand in every step
@@ -155,15 +179,18 @@ class Resimulator:
         if frame.step.seed >= 0:
             outcome = self._simulator.reset(frame.step.seed)
             self._stream_at = number
-        elif self._simulator.seeded:
-            outcome = self._reset_in_stream(number)
-        else:
+        elif not self._simulator.seeded:
             self._skip(number, 'its simulator takes no seeds')
             return
+        else:
+            outcome = self._reset_in_stream(number)
+            if outcome is None:
+                self._skip(number, f'more than {MAX_STREAM} episodes of its stream would have to '
+                                   'be passed over')
+                return
         self._driving = number
         self._steps = 0
         self._return = 0.0
-        self._parted = False
         self.result.episodes += 1
         self._compare(frame, outcome._replace(reward=0.0, terminated=False, truncated=False))
 
@@ -184,20 +211,24 @@ class Resimulator:
             if settings != self._settings:
                 self._simulator = self._kind(settings)
                 self._settings, self._stream_at = settings, None
+        except SimulatorError:
+            # it may be this machine that has not what it needs
+            raise
         except BridgeError as error:
-            raise BagError(f'{self._reader.path}: the simulator of the bag: {error}') from None
+            raise BagError(f'the simulator of the bag: {error}') from None
 
-    def _reset_in_stream(self, number: int) -> Outcome:
-        """Reset to episode `number` of the stream that the first seed began."""
-        if number > MAX_STREAM:
-            raise BagError(f'episode {number} of a stream; accepted: up to {MAX_STREAM}')
+    def _reset_in_stream(self, number: int) -> Outcome | None:
+        """Reset to episode `number` of the stream that the first seed began; None is too far."""
         seed = self._given.get('seed', DEFAULT_SEED)
         if type(seed) is not int or not 0 <= seed < 2**31:
-            raise BagError(f'{self._reader.path} was driven with seed {str(seed)[:40]}')
-        if self._stream_at is not None and self._stream_at < number:
-            self._simulator.skip(number - self._stream_at - 1, None)
-        elif number:
-            self._simulator.skip(number, seed)
+            raise BagError(f'the bag was driven with seed {str(seed)[:40]}')
+        goes_on = self._stream_at is not None and self._stream_at < number
+        passed_over = number - self._stream_at - 1 if goes_on else number
+        if passed_over > self._may_pass_over:
+            return None
+        self._may_pass_over -= passed_over
+        if passed_over:
+            self._simulator.skip(passed_over, None if goes_on else seed)
         self._stream_at = number
         return self._simulator.reset(None if number else seed)
 
@@ -225,8 +256,7 @@ class Resimulator:
         if outcome.terminated or outcome.truncated:
             self._driving = None
             if not frame.step.ended or outcome.frames != frames:
-                # whatever follows has nothing to be compared with
-                self._not_driven.add(frame.step.episode)
+                self._leave(frame.step.episode)
 
     def _compare(self, frame: RecordedFrame, outcome: Outcome) -> None:
         result, step = self.result, frame.step
@@ -270,8 +300,8 @@ def _frame_limit(reader: BagReader, namespace: str) -> int:
     """Return after how many frames episodes were cut off, as most of those cut off show it."""
     name = find_topic(reader, STEP, namespace=namespace)
     limits: Counter[int] = Counter()
-    for message in reader.messages([name]) if name else ():
-        _, step = decode_step(message.data, name)
+    messages = reader.messages([name]) if name else ()
+    for _, (_, step) in usable(messages, lambda data: decode_step(data, name)):
         if step.truncated and not step.info.get('ended_early', 0):
             limits[int(step.info.get('step', step.decision))] += 1
     return limits.most_common(1)[0][0] if limits else DEFAULT_MAX_FRAMES

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from pathlib import Path
 import re
+import zlib
 
 from mcap.opcode import Opcode
 from mcap.records import ChunkIndex
@@ -49,7 +50,9 @@ def open_damaged(path: Path | str) -> tuple[McapFile, int]:
         BagError: it cannot be read, or nothing of it is whole.
     """
     file = McapFile(path, strict=False)
-    if file.complete and not file.damage and all(_is_whole(file, span) for span in file.spans):
+    # what seems to be a record of an application may be a chunk whose op code is damaged
+    if file.complete and not file.damage and not file.private and all(
+            _is_whole(file, span) for span in file.spans):
         return file, 0
     whole = [(0, file.whole_until), *_Salvage(file).places(), (file.size, file.size)]
     if not (file.library or file.spans or file.channels):
@@ -71,7 +74,7 @@ class _Salvage:
         # chunks that are whole, by where their records begin
         self._chunks = {span.record: span for span in file.spans
                         if span.record != span.offset and _is_whole(file, span)}
-        self._known = set(map(_content, self._chunks.values()))
+        self._known = set(map(self._content, self._chunks.values()))
         self._indices: list[ChunkIndex] = []
 
     def places(self) -> list[Place]:
@@ -116,10 +119,17 @@ class _Salvage:
         return found
 
     def _add(self, span: Span) -> Place:
-        if _content(span) not in self._known:
-            self._known.add(_content(span))
+        content = self._content(span)
+        if content not in self._known:
+            self._known.add(content)
             self._file.spans.append(span)
         return span.record, _end(span)
+
+    def _content(self, span: Span) -> tuple[int, ...]:
+        """Return what two chunks have in common only if they are the same."""
+        # without a CRC of what is unpacked, that of what is packed tells as much
+        crc = span.crc or zlib.crc32(self._file.raw(span.offset, _end(span)))
+        return span.start_time, span.end_time, crc, span.unpacked_size
 
     def _find_small_records(self, gaps: list[Place]) -> list[Place]:
         file, found = self._file, []
@@ -207,10 +217,6 @@ class _Salvage:
 
 def _end(span: Span) -> int:
     return span.offset + span.length
-
-
-def _content(span: Span) -> tuple[int, ...]:
-    return span.start_time, span.end_time, span.crc, span.unpacked_size
 
 
 def _is_whole(file: McapFile, span: Span) -> bool:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from bags.topic_lookup import find_topic, need_topic
 from bags.decode import decode, decode_image
+from bags.errors import BagError
 from bags.reader import BagReader
 from bags.steps import decode_step
 from msgs_bridge.errors import MessageError
@@ -74,7 +75,7 @@ def _transitions(
                 twist = decode(message.data, CMD_VEL.type_name, CMD_VEL.name)
                 joined = joiner.add_twist(
                     to_nanoseconds(twist.header.stamp), read_command(twist.twist))
-        except MessageError:
+        except (BagError, MessageError):
             # live nodes pass over such a message too
             counts['rejected'] += 1
             continue

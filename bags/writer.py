@@ -85,7 +85,7 @@ class BagWriter:
         self._topics: list[_Topic] = []
         self._schemas: dict[Schema, int] = {}
         self._files: list[FileMetadata] = []
-        self._split_at = NO_TIME
+        self._split_at: int | None = None
         self.message_count = 0
         self.lost = 0
         self.closed = False
@@ -164,7 +164,7 @@ class BagWriter:
             OSError: the disk is full or gone; `lost` says what it cost.
         """
         file = self._file
-        if log_time >= self._split_at or (
+        if (self._split_at is not None and log_time >= self._split_at) or (
                 self._split_bytes and file.size + file.open_bytes >= self._split_bytes
                 and file.message_count + file.open_messages):
             self._guard(self._next_file)
@@ -267,7 +267,7 @@ class BagWriter:
         if self._custom_data:
             # also in a file that is cut off, where metadata.yaml never comes to be
             self._file.add_metadata(PROVENANCE_RECORD, self._custom_data)
-        self._split_at = NO_TIME
+        self._split_at = None
         self._schemas.clear()
         for topic in self._topics:
             self._register(topic)

@@ -8,15 +8,17 @@ import shutil
 import tracemalloc
 import zlib
 
-from bag_cases import clock, read_all, small_bag
+from bag_cases import clock, read_all, serialized, small_bag
 from bags.compression import unpack
 from bags.errors import BagError
 from bags.mcap_file import McapFile
 from bags.mcap_records import HEAD, MAGIC, record_bytes
-from bags.metadata import metadata_from_text
+from bags.metadata import metadata_from_text, read_metadata
+from bags.qos_text import offered_qos
 from bags.reader import BagReader
 from bags.recover import recover_bag
 from bags.verify import verify_bag
+from bags.writer import BagWriter
 from hypothesis import given, HealthCheck, settings, strategies
 import lz4.frame
 from mcap.opcode import Opcode
@@ -511,3 +513,120 @@ def test_a_file_made_of_beginnings_ends(tmp_path):
         path.write_bytes(MAGIC + piece * 20_000)
         with pytest.raises(BagError, match='nothing of it is whole'):
             recover_bag(path, tmp_path / 'saved')
+
+
+def test_a_split_that_is_not_there_is_said_and_the_others_are_saved(tmp_path):
+    written = small_bag(tmp_path / 'bag', split_bytes=6000)
+    middle = tmp_path / 'bag' / 'bag_1.mcap'
+    with BagReader(middle) as reader:
+        lost = read_all(reader)
+    middle.unlink()
+
+    def saved(name):
+        recovery = recover_bag(tmp_path / 'bag', tmp_path / name)
+        with BagReader(tmp_path / name) as reader:
+            assert read_all(reader) == [one for one in written if one not in lost]
+        return recovery.remarks
+
+    named = 'bag_1.mcap is not there as an .mcap file; nothing of it could be saved'
+    assert saved('named in metadata.yaml') == [named]
+    (tmp_path / 'bag' / 'metadata.yaml').unlink()
+    assert saved('named in the last file') == ['there was no metadata.yaml', named]
+    middle.symlink_to('/nowhere/bag_1.mcap')
+    assert saved('dangling') == [
+        f'{middle}: No such file or directory; nothing of it could be saved',
+        'there was no metadata.yaml']
+
+
+def test_a_gap_in_the_numbers_of_files_is_said(small, tmp_path):
+    (tmp_path / 'bag').mkdir()
+    # cut off: none of them says what other files there are
+    for number in (0, 3):
+        (tmp_path / 'bag' / f'bag_{number}.mcap').write_bytes(small[1][:-2000])
+    assert recover_bag(tmp_path / 'bag', tmp_path / 'saved').remarks[-1] == (
+        'between bag_0.mcap and bag_3.mcap files are missing: 2; nothing of them could be saved')
+
+
+@pytest.mark.parametrize('name', ['metadata.yaml', None])
+def test_what_came_to_a_bag_later_is_recovered_too(tmp_path, name):
+    late = [offered_qos(), offered_qos(latched=True)]
+    with BagWriter(tmp_path / 'bag', custom_data={'seed': '7'}, chunk_bytes=1024) as writer:
+        topic = writer.add_topic('/reward', 'std_msgs/msg/Float32', [offered_qos()])
+        for number in range(100):
+            writer.write(topic, number, 0, serialized('std_msgs/msg/Float32', float(number)))
+        writer.add_offers(topic, late)
+        writer.note('lost_messages', '{"/reward": 18054}')
+    path = tmp_path / 'bag' / 'bag_0.mcap'
+    data = bytearray(path.read_bytes())
+    with McapFile(path) as file:
+        data[file.spans[1].offset] ^= 1
+        if name:
+            # the record at the end, so that metadata.yaml alone still says it
+            data = data[:file.data_end[0] - 300]
+    path.write_bytes(data)
+    if not name:
+        (tmp_path / 'bag' / 'metadata.yaml').unlink()
+    assert recover_bag(tmp_path / 'bag', tmp_path / 'saved').bad_chunks == 1
+    with BagReader(tmp_path / 'saved') as reader:
+        assert reader.custom_data == {'seed': '7', 'lost_messages': '{"/reward": 18054}'}
+        assert reader.topics['/reward'].qos == late
+
+
+def test_log_times_before_the_epoch_make_one_file(tmp_path):
+    times = range(2 ** 64 - 300, 2 ** 64)
+    foreign_bag(tmp_path / 'negative.mcap', times=times)
+    recover_bag(tmp_path / 'negative.mcap', tmp_path / 'saved')
+    assert len(read_metadata(tmp_path / 'saved').files) == 1
+    with BagReader(tmp_path / 'saved') as reader:
+        assert [one.log_time for one in reader.messages()] == list(times)
+
+
+def test_chunks_without_crc_that_say_the_same_of_themselves_are_all_saved(tmp_path):
+    with (tmp_path / 'whole.mcap').open('wb') as file:
+        writer = Writer(file, chunk_size=300, compression=CompressionType.ZSTD, enable_crcs=False)
+        writer.start(profile='ros2')
+        schema = writer.register_schema('std_msgs/msg/Float32', 'ros2msg', b'float32 data')
+        channel = writer.register_channel('/reward', 'cdr', schema)
+        for number in range(200):
+            writer.add_message(
+                channel, 1000, serialized('std_msgs/msg/Float32', float(number)), 1000)
+        writer.finish()
+    data = bytearray((tmp_path / 'whole.mcap').read_bytes())
+    with BagReader(tmp_path / 'whole.mcap') as reader:
+        whole = read_all(reader)
+        first = reader.mcap_files[0].spans[0]
+    # the length of the header, so that the chunks are searched, and one of them is there twice
+    data[9] = 0xff
+    data[first.record:first.record] = data[first.record:first.offset + first.length]
+    (tmp_path / 'damaged.mcap').write_bytes(data)
+    recover_bag(tmp_path / 'damaged.mcap', tmp_path / 'saved')
+    with BagReader(tmp_path / 'saved') as reader:
+        assert sorted(read_all(reader)) == sorted(whole)
+
+
+def test_records_of_an_application_are_passed_over(small, tmp_path):
+    folder, data, written = small
+    with McapFile(folder / 'bag_0.mcap') as file:
+        place = file.spans[2].record
+    path = tmp_path / 'private.mcap'
+    path.write_bytes(data[:place] + HEAD.pack(0x80, 4) + b'abcd' + data[place:])
+    for strict in (True, False):
+        with BagReader(path, strict=strict) as reader:
+            assert read_all(reader) == written
+            assert reader.problems == []
+    recovery = recover_bag(path, tmp_path / 'saved')
+    assert (recovery.lost_bytes, recovery.remarks) == (0, [])
+    with BagReader(tmp_path / 'saved') as reader:
+        assert read_all(reader) == written
+
+
+def test_a_chunk_that_looks_like_a_record_of_an_application_is_found(small, tmp_path):
+    folder, data, written = small
+    with McapFile(folder / 'bag_0.mcap') as file:
+        place = file.spans[2].record
+    damaged = bytearray(data)
+    damaged[place] ^= 0x80
+    (tmp_path / 'damaged.mcap').write_bytes(damaged)
+    recover_bag(tmp_path / 'damaged.mcap', tmp_path / 'saved')
+    with BagReader(tmp_path / 'saved') as reader:
+        assert read_all(reader) == written

@@ -9,15 +9,16 @@ import json
 from pathlib import Path
 
 import av
-from bag_cases import bundle, DriveRecorder, image, record_drive, scripted, twist
+from bag_cases import bundle, DriveRecorder, image, record_drive, scripted, small_bag, twist
 from bags.command import add_arguments, main
 from bags.decode import decode_bundle, decode_image
 from bags.episodes import find_episodes
 from bags.errors import BagError
 from bags.export import export_csv, export_video
-from bags.frames import recorded_frames
+from bags.frames import recorded_frames, RecordedFrame
+from bags.image_arrays import load_images
 from bags.info import bag_info
-from bags.painter import FramePainter, GREEN
+from bags.painter import BLUE, FramePainter, GREEN
 from bags.reader import BagReader
 from bags.schemas import Schema
 from bags.transitions import bag_transitions
@@ -28,7 +29,7 @@ from carracing_sim_node.controls import controls
 from msgs_bridge.step import STEP_CORE
 from msgs_bridge.errors import SimulatorError
 from msgs_bridge.step import read_step
-from msgs_bridge.topics import CMD_VEL, IMAGE, STEP
+from msgs_bridge.topics import CMD_VEL, IMAGE, Q_VALUES, STEP
 from msgs_bridge.twists import Command
 import numpy as np
 from PIL import Image
@@ -42,9 +43,66 @@ def drive(tmp_path_factory):
     return record_drive(tmp_path_factory.mktemp('drive') / 'bag')
 
 
+@pytest.fixture(scope='module')
+def short(tmp_path_factory):
+    """Return a bag of two whole episodes of 12 decisions."""
+    return record_drive(tmp_path_factory.mktemp('short') / 'bag', decisions=12)
+
+
 def verified(folder, **options):
     with BagReader(folder) as reader:
         return verify_bag(reader, **options)
+
+
+def changed(source, folder, change, times=1):
+    """
+    Copy a bag, several times in turn if need be.
+
+    `change` takes a topic, how many of its messages came before, and a message; it gives those
+    that are written in its place.
+    """
+    numbers = Counter()
+    with BagReader(source) as reader, BagWriter(
+            folder, custom_data=reader.custom_data) as writer:
+        topics = {name: writer.add_topic(name, topic.type_name, topic.qos)
+                  for name, topic in reader.topics.items()}
+        for turn in range(times):
+            for one in reader.messages():
+                for data in change(one.topic, numbers[one.topic], bytes(one.data)):
+                    writer.write(topics[one.topic], one.log_time + turn * 10 ** 12,
+                                 one.publish_time, data)
+                numbers[one.topic] += 1
+    return folder
+
+
+def with_odd(source, folder, topic, odd, at=10):
+    """Copy a bag, with what `odd` makes of a message behind it."""
+    return changed(source, folder, lambda name, number, data: (
+        [data, *odd(data)] if (name, number) == (topic, at) else [data]))
+
+
+def with_values(source, folder, topic, **values):
+    """Copy a bag with other values in the bundles of a topic."""
+    def change(name, _, data):
+        if name != topic:
+            return [data]
+        held = decode_bundle(data, name)
+        return [bundle(held.stamp, {**held.values_with(), **values})]
+    return changed(source, folder, change)
+
+
+def stamped(seconds):
+    """Return what gives a message another stamp, in whole seconds."""
+    return lambda data: [data[:4] + seconds.to_bytes(4, 'little') + data[8:]]
+
+
+def junk(_):
+    return [b'\0\1\0\0']
+
+
+def not_a_number(data):
+    held = decode_bundle(data, 'x')
+    return [bundle(held.stamp, {**held.values_with(), 'reward': float('nan')})]
 
 
 def command(*words):
@@ -129,6 +187,135 @@ def test_a_recording_of_what_happened_has_no_differing_frame(drive):
     assert found.transitions == {'joined': 80}
     driven = found.resimulation
     assert (driven.episodes, driven.frames, driven.differing_frames) == (2, 82, 0)
+
+
+def test_verify_finds_twists_that_are_not_what_was_applied(tmp_path):
+    def told(number):
+        # more than full gas is applied as full gas
+        return lambda name, _, data: [
+            data[:-48] + np.array([number, 0, 0, 0, 0, 0.0]).tobytes()
+            if name == '/cmd_vel' else data]
+
+    bag = record_drive(tmp_path / 'bag', decisions=6, drive_with=lambda _: Command(1.0, 0.0))
+    assert verified(changed(bag, tmp_path / 'more', told(3.0))).good
+    found = verified(changed(bag, tmp_path / 'others', told(-1.0)), resimulate=False)
+    assert found.problems == ['12 twists are not what step says was applied, the first before '
+                              'episode 0, decision 1']
+
+
+@pytest.mark.parametrize(('topic', 'odd', 'count', 'told'), [
+    ('/step', junk, 'rejected', ['1 messages cannot be used']),
+    ('/step', not_a_number, 'rejected', ['1 messages cannot be used']),
+    ('/image_raw', junk, 'rejected', ['1 messages cannot be used']),
+    ('/cmd_vel', junk, 'rejected', ['1 messages cannot be used']),
+    ('/step', stamped(2_000_000_000), 'odd_step', []),
+    ('/image_raw', stamped(2_000_000_000), None, []),
+    # the joiner believes two that follow each other
+    ('/image_raw', lambda data: [*stamped(1_000_000)(data), *stamped(1_000_001)(data)],
+     'lost_image', ['2 transitions lack an image']),
+    ('/q_values', junk, None, []),
+])
+def test_one_odd_message_costs_no_other_frame(tmp_path, short, topic, odd, count, told):
+    found = verified(with_odd(short, tmp_path / 'bag', topic, odd))
+    assert found.problems == told
+    lost = 2 * (count == 'lost_image')
+    assert found.transitions == {
+        'joined': 24 - lost, **({count: lost or 1} if count else {})}
+    driven = found.resimulation
+    assert (driven.frames, driven.missing_images, driven.differing_frames) == (26, 0, 0)
+    counts = Counter()
+    with BagReader(short) as reader:
+        expected = list(recorded_frames(reader))
+    with BagReader(tmp_path / 'bag') as reader:
+        frames = list(recorded_frames(reader, counts=counts))
+        episodes = bag_info(reader)['episodes']
+    assert counts['rejected'] == (odd in (junk, not_a_number) and topic != '/cmd_vel')
+    assert [(one.stamp, one.step, one.q_values) for one in frames] == [
+        (one.stamp, one.step, one.q_values) for one in expected]
+    assert all(np.array_equal(one.pixels, other.pixels) for one, other in zip(frames, expected))
+    assert [episode['decisions'] for episode in episodes] == [12, 12]
+
+
+def test_verify_says_what_of_episode_cannot_be_used(tmp_path, short):
+    found = verified(with_odd(short, tmp_path / 'bag', '/episode', junk, at=1))
+    assert found.problems == ['1 messages of episode cannot be used']
+    assert found.resimulation.frames == 26
+
+
+def test_info_says_how_many_steps_cannot_be_used(tmp_path, short):
+    with BagReader(with_odd(short, tmp_path / 'bag', '/step', junk)) as reader:
+        info = bag_info(reader)
+    assert info['problems'] == ['1 messages of step cannot be used']
+    assert info['whole_episodes'] == 2
+
+
+def test_a_command_that_no_car_takes_ends_the_driving_of_its_episode_alone(tmp_path):
+    found = falsified(tmp_path, 30, linear=1e30)
+    assert found.problems == [
+        '1 twists are not what step says was applied, the first before episode 1, decision 30',
+        'episode 1, decision 30, step message 71, simulation time 3.40 s: '
+        f'Command(linear=1e+30, angular={scripted(29).angular}) is beyond -1 to 1']
+    assert found.resimulation.frames == 41 + 30
+
+
+def test_a_simulator_that_was_started_again_is_driven_again_from_its_start(tmp_path, short):
+    def change(name, number, data):
+        # the first run began before the recording
+        if number < 5 and name != '/episode':
+            return []
+        if name == '/step' and number == 26 + 10:
+            held = decode_bundle(data, name)
+            data = bundle(held.stamp, {**held.values_with(), 'reward': 5.0})
+        return [data]
+
+    found = verified(changed(short, tmp_path / 'bag', change, times=2))
+    assert found.transitions == {'joined': 7 + 12 + 24, 'rewound': 1}
+    assert found.notes[0] == '1 x rewound when joining transitions'
+    assert found.notes[1:] == ['1 episodes not driven again: begun before the recording']
+    driven = found.resimulation
+    assert (driven.episodes, driven.frames, driven.differing_rewards) == (3, 3 * 13, 1)
+    assert len(found.problems) == 1 and 'episode 0, decision 10' in found.problems[0]
+
+
+def test_no_more_of_a_stream_is_passed_over_than_all_episodes_may(tmp_path, monkeypatch):
+    monkeypatch.setattr('bags.resimulate.MAX_STREAM', 8)
+    bag = record_drive(tmp_path / 'bag', episodes=1, decisions=1, settings={
+        'seed_each_episode': False, 'first_episode': 9})
+    recorder = DriveRecorder(tmp_path / 'falling')
+    values = {**dict.fromkeys(STEP_CORE, 0), 'seed': -1, 'applied_sec': -1}
+    for number in range(4):
+        recorder.put(STEP, bundle(number * 10 ** 9, {**values, 'episode': 5 - number}))
+        recorder.put(IMAGE, image(number * 10 ** 9, np.zeros((96, 96, 3), np.uint8)))
+    recorder.writer.close()
+    for folder, driven in ((bag, 0), (tmp_path / 'falling', 2)):
+        found = verified(folder)
+        # 5, then 3; neither 4 nor 2 more
+        assert found.resimulation.episodes == driven
+        assert found.notes[-1].endswith(
+            ' episodes not driven again: more than 8 episodes of its stream would have to be '
+            'passed over'), found.notes
+
+
+@pytest.mark.parametrize('order', ['images first', 'images last', 'no image'])
+def test_frames_are_whole_however_far_one_topic_is_behind_another(tmp_path, drive, order):
+    recorder = DriveRecorder(tmp_path / 'bag')
+    with BagReader(drive) as reader:
+        images = [(IMAGE, bytes(one.data)) for one in reader.messages(['/image_raw'])]
+        steps = [(STEP, bytes(one.data)) for one in reader.messages(['/step'])]
+        values = [(Q_VALUES, bytes(one.data)) for one in reader.messages(['/q_values'])]
+    if order == 'no image':
+        images = [*images[:9], *images[10:]]
+    later = steps + values
+    for topic, data in later + images if order == 'images last' else images + later:
+        recorder.put(topic, data)
+    recorder.writer.close()
+    with BagReader(tmp_path / 'bag') as reader:
+        frames = list(recorded_frames(reader))
+    assert [frame.number for frame in frames] == list(range(82))
+    assert [frame.number for frame in frames if frame.pixels is None] == (
+        [9] if order == 'no image' else [])
+    # the last frame of an episode leads to no decision
+    assert [frame.number for frame in frames if not frame.q_values] == [40, 81]
 
 
 @pytest.mark.parametrize('settings', [
@@ -223,8 +410,9 @@ def test_verify_finds_a_wrong_number(tmp_path, changes, told):
 def test_verify_finds_a_wrong_action_and_says_where_they_part(tmp_path):
     found = falsified(tmp_path, 20, angular=0.9)
     assert found.resimulation.differing_frames == 20 + 1
-    assert 'decision 20' in found.problems[0]
-    assert found.problems[1] == '20 more frames differ'
+    assert found.problems[0].startswith('1 twists are not what step says was applied')
+    assert 'decision 20' in found.problems[1]
+    assert found.problems[2] == '20 more frames differ'
 
 
 def test_verify_finds_a_wrong_seed(tmp_path):
@@ -262,6 +450,14 @@ def test_info_is_json_and_a_table(drive, capsys):
         assert word in shown
 
 
+def test_names_of_custom_data_are_not_taken_for_what_was_found(tmp_path, capsys):
+    small_bag(tmp_path / 'bag', messages=10, custom_data={'messages': '7', 'problem 1': 'x'})
+    assert command('info', tmp_path / 'bag') == 0
+    lines = [line.rstrip() for line in capsys.readouterr().out.splitlines()]
+    assert 'messages     20' in lines
+    assert lines[lines.index('custom_data') + 1:][:2] == ['  messages   7', '  problem 1  x']
+
+
 def test_csv_has_a_row_per_frame_with_every_bit(tmp_path, drive):
     path = tmp_path / 'steps.csv'
     with BagReader(drive) as reader:
@@ -279,6 +475,18 @@ def test_csv_has_a_row_per_frame_with_every_bit(tmp_path, drive):
     # the last frame of an episode leads to no decision
     assert rows[40]['q_right'] == ''
     assert rows[41]['decision'] == '0'
+
+
+def test_csv_has_a_column_for_what_comes_late(tmp_path, drive, monkeypatch):
+    bag = changed(drive, tmp_path / 'bag', lambda name, number, data: (
+        [] if name == '/q_values' and number < 5 else [data]))
+    with BagReader(bag) as reader:
+        assert export_csv(reader, tmp_path / 'steps.csv') == 82
+        monkeypatch.setattr('bags.export.MAX_COLUMNS', 30)
+        with pytest.raises(BagError, match='has values of 32 names; accepted: up to 30'):
+            export_csv(reader, tmp_path / 'many.csv')
+    rows = list(csv.DictReader((tmp_path / 'steps.csv').open()))
+    assert [row['q_right'] for row in rows[:7]] == [''] * 5 + ['1.5'] * 2
 
 
 def test_video_shows_every_frame_for_as_long_as_it_lasted(tmp_path, drive):
@@ -306,6 +514,40 @@ def test_a_moving_picture_for_pages_plays_for_ever_and_as_long_as_the_lap(tmp_pa
         assert export_video(reader, path, episode=1) == 9
     with Image.open(path) as film:
         assert (film.n_frames, film.info['loop'], film.size) == (9, 0, (704, 384))
+
+
+@pytest.mark.parametrize(('topic', 'values', 'longest'), [
+    ('/q_values', {'left': float('nan'), 'chosen': float('nan')}, 0.5),
+    ('/step', {'linear': 1e300}, 0.5),
+    ('/step', {'frames': 1e300}, 20.0),
+    ('/step', {'frames': -3.0}, 0.5),
+    ('/episode', {'frame_seconds': 1e-6}, 5.0),
+    ('/episode', {'frame_seconds': 1.0}, 1.0),
+])
+def test_a_video_is_made_of_any_numbers(tmp_path, short, topic, values, longest):
+    bag = with_values(short, tmp_path / 'bag', topic, **values)
+    with BagReader(bag) as reader:
+        assert export_video(reader, tmp_path / 'lap.mp4', scale=1) == 26
+    with av.open(str(tmp_path / 'lap.mp4')) as container:
+        times = [frame.time for frame in container.decode(container.streams.video[0])]
+    assert len(times) == 26
+    apart = np.diff(times)
+    assert apart.min() > 0 and apart.max() == pytest.approx(longest, abs=1e-3)
+
+
+@pytest.mark.parametrize('limits', [(-1e308, 1e308), (0.0, 5e-324), (3.0, 3.0)])
+def test_what_is_painted_stays_in_its_place_whatever_the_numbers(drive, limits):
+    with BagReader(drive) as reader:
+        frame = next(recorded_frames(reader))
+    step = dataclasses.replace(
+        frame.step, info={**frame.step.info, 'linear': -1e300, 'angular': -1e300})
+    low, high = limits
+    painted = FramePainter(96, 96, 4).paint(
+        RecordedFrame(0, 0, step, None, {}),
+        {'a': low, 'b': float('nan'), 'c': high, 'd': float('inf'), 'chosen': 2.0})
+    # full brake is the whole width of the bars, the picture remains dark
+    assert (painted[:, :384] == painted[0, 0]).all()
+    assert (painted == BLUE).all(axis=2).any() and (painted == GREEN).all(axis=2).any()
 
 
 @pytest.mark.parametrize(('count', 'chosen'), [(9, 8), (16, 3), (40, 25)])
@@ -433,3 +675,11 @@ def test_no_text_of_a_bag_reaches_the_terminal_as_more_than_text(tmp_path, capsy
     shown = capsys.readouterr()
     assert '\x1b' not in shown.out + shown.err and '\a' not in shown.out + shown.err
     assert max(map(len, (shown.out + shown.err).splitlines())) < 1000
+
+
+@pytest.mark.parametrize('count', [2 ** 60, 2 ** 45])
+def test_images_that_the_file_only_claims_to_have_are_refused(drive, count):
+    with BagReader(drive) as reader:
+        reader.topics['/image_raw'].message_count = count
+        with pytest.raises(BagError, match=f'{count} images of 96x96 do not fit into memory'):
+            load_images(reader)

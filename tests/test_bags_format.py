@@ -182,6 +182,26 @@ def test_splitting_by_size_loses_nothing_and_every_file_stands_alone(tmp_path):
     assert sum(file.message_count for file in read_metadata(tmp_path / 'bag').files) == total
 
 
+def test_a_bag_of_more_files_than_may_be_open_at_first_is_read(tmp_path):
+    small_bag(tmp_path / 'bag', split_bytes=1, messages=30, chunk_bytes=1)
+    script = textwrap.dedent("""
+        import resource, sys
+        sys.path.insert(0, sys.argv[2])
+        from bags.reader import BagReader
+        from bags.recover import recover_bag
+        _, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (40, hard))
+        with BagReader(sys.argv[1]) as reader:
+            print(len(reader.files), sum(1 for _ in reader.messages()))
+        resource.setrlimit(resource.RLIMIT_NOFILE, (40, hard))
+        print(recover_bag(sys.argv[1], sys.argv[1] + '_saved').messages)
+    """)
+    told = subprocess.run(
+        [sys.executable, '-c', script, str(tmp_path / 'bag'), str(ROOT)],
+        capture_output=True, text=True, timeout=60, check=True).stdout
+    assert told.split() == ['60', '60', '60']
+
+
 def test_splitting_by_time(tmp_path):
     written = small_bag(tmp_path / 'bag', split_seconds=500e-9, messages=200)
     metadata = read_metadata(tmp_path / 'bag')
@@ -193,6 +213,21 @@ def test_splitting_by_time(tmp_path):
         found = list(reader.messages(['/clock'], 1400, 1600))
         assert [bytes(one.data) for one in found] == [one[3] for one in part
                                                       if one[0] == '/clock']
+
+
+def test_messages_of_time_zero_are_no_empty_chunk(tmp_path):
+    data = serialized('std_msgs/msg/Float32', 1.0)
+    with BagWriter(tmp_path / 'bag') as writer:
+        topic = writer.add_topic('/reward', 'std_msgs/msg/Float32', [offered_qos()])
+        # simulation time before /clock moves, and a file that comes after it
+        for times in (range(10, 15), [0] * 5):
+            for time in times:
+                writer.write(topic, time, 0, data)
+            writer.next_file()
+    with BagReader(tmp_path / 'bag') as reader:
+        assert (reader.start_time, reader.end_time) == (0, 14)
+        assert [one.log_time for one in reader.messages(start=reader.start_time)] == [
+            *[0] * 5, *range(10, 15)]
 
 
 def test_an_existing_folder_is_refused_and_untouched(tmp_path):

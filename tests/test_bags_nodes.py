@@ -274,6 +274,15 @@ def test_offset_duration_loop_and_clock(graph, tmp_path):
     assert stop(player) == 0
 
 
+def test_a_stretch_without_messages_is_not_played_for_ever(graph, tmp_path):
+    sqlite_bag(tmp_path / 'bag', f'/{graph.namespace}')
+    player = graph.node(*PLAYER, bag=str(tmp_path / 'bag'), wait_for_subscribers=0.0,
+                        start_offset=1000.0, loop=True)
+    assert player.process.wait(30) == 0
+    assert any('there is no message in what is to be played' in line for line in player.words)
+    assert any('0 messages played' in line for line in player.words)
+
+
 def test_pause_and_step_services(graph, tmp_path):
     space = f'/{graph.namespace}'
     sqlite_bag(tmp_path / 'bag', space)
