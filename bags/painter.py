@@ -9,6 +9,7 @@ from PIL import Image, ImageDraw, ImageFont
 import numpy as np
 
 from bags.frames import RecordedFrame
+from msgs_bridge.bars import share_between
 from msgs_bridge.step import Q_VALUE_AXES, Q_VALUE_EXTRAS, Step
 from msgs_bridge.twists import Command
 
@@ -108,15 +109,15 @@ class FramePainter:
         actions = sorted(sorted(
             actions, key=lambda row: (row[0] not in chosen, -row[2])
         )[:(self.height - top) // LINE])
-        # in halves, as the difference of two numbers may be more than a number holds
-        lowest = min(value for _, _, value in actions) / 2
-        spread = max(value for _, _, value in actions) / 2 - lowest or 1.0
+        lowest = min(value for _, _, value in actions)
+        highest = max(value for _, _, value in actions)
         for number, name, value in actions:
             colour = TEXT if number in chosen else DIM
             draw.text((left, top), name[:13], colour, self._font)
             draw.text((left + 105, top), f'{value:7.2f}', colour, self._font)
             # the bars show the differences, which are small beside the values
-            _bar(draw, left + 170, top, 2 + round((value / 2 - lowest) / spread * (width - 2)),
+            _bar(draw, left + 170, top,
+                 2 + round(share_between(value, lowest, highest) * (width - 2)),
                  GREEN if number in chosen else BLUE)
             top += LINE
 

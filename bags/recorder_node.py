@@ -17,7 +17,6 @@ from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from bags.errors import BagError
-from bags.graph_names import NamesHidden, topic_names
 from bags.intake import Intake
 from bags.last_line import say
 from bags.live_line import LiveLine
@@ -29,6 +28,7 @@ from bags.recorder_terminal import recorded_text, waits_for
 from bags.recording import Recording
 from bags.settings import ALL, RecorderSettings, resolved_names
 from bags.writer import BagWriter
+from msgs_bridge.matching import NamesHidden, topics_of
 from msgs_bridge.message_types import message_class
 from msgs_bridge.node_shell import NodeShell, PolledGroup, run_node
 from msgs_bridge.plain_text import plain
@@ -416,13 +416,13 @@ class BagRecorderNode(NodeShell):
     def _names(self) -> set[str]:
         """Return the topics of the graph; none when ROS is shutting down."""
         try:
-            return topic_names(self)
+            return set(topics_of(self))
         except NamesHidden as error:
             self.counts['failed_looks'] += 1
             self.get_logger().warn(
                 f'the names of the graph cannot be read, only those of each node: '
                 f'{plain(str(error))}', throttle_duration_sec=LOSS_LOG_SECONDS)
-            return error.names | self._intake.topics.keys()
+            return error.names.keys() | self._intake.topics.keys()
 
     def _publishers_of(self, name: str) -> list[TopicEndpointInfo]:
         """Return the publishers of a topic; none when ROS is shutting down or refuses the name."""

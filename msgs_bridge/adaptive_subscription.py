@@ -42,7 +42,7 @@ OVERRIDES = QoSOverridingOptions([
     QoSPolicyKind.DURABILITY])
 # what rclpy raises for a value that an override cannot have
 OVERRIDE_ERRORS = (InvalidQosOverridesError, ParameterException, InvalidParameterTypeException,
-                   RuntimeError, ValueError, AttributeError)
+                   RuntimeError, ValueError, AttributeError, TypeError)
 # After losses and so much silence a reader may have gone deaf. It need not have, and then a new
 # one costs what arrives within milliseconds; so it is tried once after each loss.
 DEAF_SECONDS = 1.0

@@ -3,9 +3,16 @@
 """What a process of ours does before `rclpy.init`."""
 from __future__ import annotations
 
+import os
+
 from msgs_bridge.dead_segments import remove_dead_segments
+from msgs_bridge.errors import BridgeError
 from msgs_bridge.host_only import stay_on_this_host
 from msgs_bridge.log_folder import ensure_log_folder
+from msgs_bridge.plain_text import plain
+
+LAST_DOMAIN = 232
+"""Above it DDS has no ports."""
 
 
 def before_rclpy() -> None:
@@ -13,8 +20,17 @@ def before_rclpy() -> None:
     Set the environment for ROS, which child processes inherit, and tidy up after dead nodes.
 
     Raises:
-        BridgeError: the machine lacks something that every node needs.
+        BridgeError: the machine lacks something that every node needs, or ROS_DOMAIN_ID is none.
     """
+    domain = os.environ.get('ROS_DOMAIN_ID', '')
+    if not is_domain(domain or '0'):
+        raise BridgeError(f'ROS_DOMAIN_ID is {plain(domain, 40)!r}; accepted: 0 to {LAST_DOMAIN}')
     stay_on_this_host()
     ensure_log_folder()
     remove_dead_segments()
+
+
+def is_domain(text: str) -> bool:
+    """Return whether a text is a number that ROS_DOMAIN_ID may be; Fast DDS ends us at others."""
+    return (text.isascii() and text.isdecimal() and len(text) <= len(str(LAST_DOMAIN))
+            and int(text) <= LAST_DOMAIN)

@@ -7,6 +7,7 @@ import threading
 
 from msgs_bridge.before_rclpy import before_rclpy
 from msgs_bridge.errors import BridgeError
+from msgs_bridge.node_process import told_in_a_line
 from msgs_bridge.plain_text import plain
 import rclpy
 from rclpy.context import Context
@@ -20,6 +21,8 @@ from rclpy.validate_namespace import validate_namespace
 TURN_SECONDS = 0.5
 # after a turn that failed, so that one that fails again and again does not spin
 FAILED_SECONDS = 0.05
+# characters of a namespace: DDS has 255 for a name, in which nodes and their services follow
+LONGEST = 180
 
 
 def node_of_a_command(name: str, namespace: str = '') -> tuple[Node, SingleThreadedExecutor]:
@@ -29,15 +32,17 @@ def node_of_a_command(name: str, namespace: str = '') -> tuple[Node, SingleThrea
     It belongs to a context of its own, which the caller shuts down.
 
     Raises:
-        BridgeError: the machine lacks what every node needs.
+        BridgeError: the machine lacks what every node needs, or there is no such namespace.
     """
     before_rclpy()
     context = Context()
-    rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
+    with told_in_a_line('ROS does not start'):
+        rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
     try:
-        node = rclpy.create_node(
-            name, context=context, namespace=namespace or None, start_parameter_services=False,
-            enable_rosout=False, use_global_arguments=False)
+        with told_in_a_line('ROS does not start'):
+            node = rclpy.create_node(
+                name, context=context, namespace=namespace or None,
+                start_parameter_services=False, enable_rosout=False, use_global_arguments=False)
     except BaseException:
         rclpy.try_shutdown(context=context)
         raise
@@ -104,6 +109,9 @@ def absolute_namespace(text: str) -> str:
         BridgeError: it is none that ROS accepts.
     """
     namespace = f'/{text.strip("/")}'
+    if len(namespace) > LONGEST:
+        raise BridgeError(f'--namespace is {plain(text)!r}: {len(namespace)} characters; '
+                          f'accepted: up to {LONGEST}')
     try:
         validate_namespace(namespace)
     except InvalidNamespaceException as error:

@@ -1,9 +1,10 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
-"""Whether publishers and subscriptions of one topic fit, as the graph knows them."""
+"""What the graph knows: its names, the ends of a topic, and whether those fit."""
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+import contextlib
 from typing import NamedTuple
 
 from msgs_bridge.plain_text import plain
@@ -21,6 +22,77 @@ ENDLESS = 2**62
 def type_name_of(message_class: type) -> str:
     """Return `package/msg/Type` of a message class, as the graph names it."""
     return f'{message_class.__module__.split(".")[0]}/msg/{message_class.__name__}'
+
+
+class NamesHidden(Exception):
+    """
+    rclpy cannot tell the names of the graph.
+
+    Attributes:
+        names: name -> types, of the nodes of which it can.
+    """
+
+    def __init__(self, reason: Exception, names: Mapping[str, Sequence[str]]) -> None:
+        """Carry what could be learned all the same."""
+        super().__init__(str(reason))
+        self.names = names
+
+
+def topics_of(node: Node) -> Mapping[str, Sequence[str]]:
+    """
+    Return name -> types of the topics of the graph; none when ROS is shutting down.
+
+    Raises:
+        NamesHidden: one name or type on the wire is no text, so that rclpy tells none.
+    """
+    return _named(
+        node, node.get_topic_names_and_types, node.get_publisher_names_and_types_by_node)
+
+
+def services_of(node: Node) -> Mapping[str, Sequence[str]]:
+    """
+    Return name -> types of the services of the graph; none when ROS is shutting down.
+
+    Raises:
+        NamesHidden: as `topics_of`.
+    """
+    return _named(
+        node, node.get_service_names_and_types, node.get_service_names_and_types_by_node)
+
+
+def as_known(
+    find: Callable[[Node], Mapping[str, Sequence[str]]], node: Node,
+) -> Mapping[str, Sequence[str]]:
+    """Return what `topics_of` or `services_of` finds, or that part of it that rclpy tells."""
+    try:
+        return find(node)
+    except NamesHidden as hidden:
+        return hidden.names
+
+
+def nodes_of(node: Node) -> Sequence[tuple[str, str]]:
+    """Return name and namespace of the nodes of the graph; none where rclpy cannot tell."""
+    with contextlib.suppress(Exception):
+        return node.get_node_names_and_namespaces()
+    return []
+
+
+def _named(
+    node: Node, find: Callable[[], Sequence[tuple[str, Sequence[str]]]],
+    find_by_node: Callable[[str, str], Sequence[tuple[str, Sequence[str]]]],
+) -> Mapping[str, Sequence[str]]:
+    try:
+        return dict(find())
+    except Exception as error:
+        # a signal may shut ROS down in the middle of any call, and calls differ in what they raise
+        if not node.context.ok():
+            return {}
+        names: dict[str, set[str]] = {}
+        for name, space in nodes_of(node):
+            with contextlib.suppress(Exception):
+                for found, types in find_by_node(name, space):
+                    names.setdefault(found, set()).update(types)
+        raise NamesHidden(error, {name: sorted(types) for name, types in names.items()}) from None
 
 
 def publishers_of(node: Node, name: str) -> Sequence[TopicEndpointInfo]:

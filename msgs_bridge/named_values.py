@@ -8,6 +8,7 @@ import math
 
 from msgs_bridge.errors import MessageError
 from msgs_bridge.stamps import set_stamp
+from msgs_bridge.step import check_names
 
 
 def fill_named_values(message: object, values: dict[str, float], stamp: int) -> object:
@@ -23,12 +24,14 @@ def read_named_values(message: object, required: Iterable[str] = ()) -> dict[str
     Return name -> value of a JointState bundle.
 
     Raises:
-        MessageError: names and positions of different length, a name twice, a required name
-            that is missing, or a required value that is not finite.
+        MessageError: names and positions of different length, too many names, one that is too
+            long or there twice, a required name that is missing, or a required value that is
+            not finite.
     """
     if len(message.name) != len(message.position):
         raise MessageError(
             f'bundle has {len(message.name)} names but {len(message.position)} values')
+    check_names('bundle', message.name)
     values = dict(zip(message.name, message.position))
     if len(values) != len(message.name):
         raise MessageError('bundle has a name twice')

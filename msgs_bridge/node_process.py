@@ -16,8 +16,9 @@ import time
 import traceback
 from typing import Any
 
-from msgs_bridge.errors import BridgeError, SettingsError
 from msgs_bridge.before_rclpy import before_rclpy
+from msgs_bridge.errors import BridgeError, SettingsError
+from msgs_bridge.exit_codes import READER_GONE
 from msgs_bridge.log_callers import hide_folders
 from msgs_bridge.plain_text import plain
 from msgs_bridge.settings import text_table
@@ -39,6 +40,8 @@ LAST_MESSAGES_SECONDS = 1.0
 SHUTDOWN_SECONDS = 0.2
 
 HELP = ('-h', '--help')
+# characters of an error; paths may be long, and names from outside are in it
+MAX_ERROR = 1000
 
 
 class Finished(Exception):
@@ -91,7 +94,7 @@ def run_node(make_node: Callable[[], Any], args: list[str] | None = None) -> int
     try:
         foreign = _foreign(arguments)
         if any(one in HELP for one in foreign):
-            sys.stdout.write(node_help(make_node))
+            code = _print(node_help(make_node))
         elif foreign:
             raise SettingsError(
                 f'unknown argument {plain(foreign[0])!r}; parameters go after --ros-args, as in '
@@ -103,7 +106,7 @@ def run_node(make_node: Callable[[], Any], args: list[str] | None = None) -> int
             finished = _spin_to_the_end(make_node, arguments)
             code = 0 if finished else STARTED.stopped_code
     except BridgeError as error:
-        sys.stderr.write(f'error: {error}\n')
+        sys.stderr.write(f'error: {plain(error, MAX_ERROR)}\n')
         code = 2
     except rclpy_implementation.RCLError as error:
         # the machine lacks something, threads or memory
@@ -133,14 +136,26 @@ def node_help(make_node: Callable[[], Any]) -> str:
             f'Parameters, set by --ros-args -p NAME:=VALUE:\n{tables}')
 
 
+def _print(text: str) -> int:
+    """Print a text and return the exit code; raises BridgeError where it cannot be written."""
+    try:
+        sys.stdout.write(text)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        return READER_GONE
+    except OSError as error:
+        raise BridgeError(f'standard output: {error.strerror}') from None
+    return 0
+
+
 def _foreign(arguments: Sequence[str]) -> list[str]:
     """Return the arguments that are not for ROS."""
-    with _told_in_a_line('arguments for ROS'):
+    with told_in_a_line('arguments for ROS'):
         return remove_ros_args(arguments)
 
 
 @contextlib.contextmanager
-def _told_in_a_line(what: str) -> Iterator[None]:
+def told_in_a_line(what: str) -> Iterator[None]:
     """Raise SettingsError for whatever ROS raises, which derives its errors from several bases."""
     try:
         yield
@@ -171,7 +186,7 @@ def _end_on_hangup() -> None:
 
 def _spin_to_the_end(make_node: Callable[[], Any], arguments: list[str]) -> bool:
     """Run one node; return whether it has finished its work, and was not stopped by a signal."""
-    with _told_in_a_line('ROS does not start'):
+    with told_in_a_line('ROS does not start'):
         rclpy.init(args=arguments)
     _end_on_hangup()
     node = None
@@ -231,6 +246,8 @@ def _leave(code: int) -> None:
     get_default_context(shutting_down=True)
     # the context goes with its last reference, and the DDS participant with it
     gc.collect()
-    sys.stdout.flush()
-    sys.stderr.flush()
+    for stream in (sys.stdout, sys.stderr):
+        # what has nowhere to go has been told of, as far as there is anybody to tell
+        with contextlib.suppress(OSError):
+            stream.flush()
     os._exit(code)

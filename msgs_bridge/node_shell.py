@@ -18,7 +18,9 @@ from msgs_bridge.errors import MessageError, SettingsError
 from msgs_bridge.matching import deaf_subscriptions, subscriptions_of, type_name_of
 from msgs_bridge.message_types import message_class
 from msgs_bridge.node_parameters import declare_settings
-from msgs_bridge.node_process import Finished, HelpWanted, run_node, STARTED
+from msgs_bridge.node_process import (
+    Finished, HelpWanted, run_node, STARTED, told_in_a_line,
+)
 from msgs_bridge.plain_text import plain
 from msgs_bridge.qos import qos_profile
 from msgs_bridge.settings import check_value, describe, setting
@@ -36,8 +38,9 @@ __all__ = ['Finished', 'NodeShell', 'PolledGroup', 'run_node', 'ShellSettings']
 
 # how often subscriptions are held against the graph; seconds
 GRAPH_SECONDS = 0.5
-# how long the diagnostics warn of something that happened once, at least one of them; seconds
-WARN_SECONDS = 1.5
+# how long the diagnostics, of which there is one a second, warn of something that happened once;
+# one of them does, however late it is; seconds
+WARN_SECONDS = 1.0
 # how often the log does; seconds
 WARN_LOG_SECONDS = 5.0
 # characters of a value in the diagnostics, and of their summary
@@ -86,7 +89,8 @@ class NodeShell(Node):
             if not isinstance(settings_class, type):
                 settings_class = settings_class({})
             raise HelpWanted(type(self), (settings_class, ShellSettings))
-        super().__init__(name)
+        with told_in_a_line('ROS does not start'):
+            super().__init__(name)
         if not isinstance(settings_class, type):
             settings_class = settings_class(
                 {key: given.value for key, given in self._parameter_overrides.items()})
@@ -99,6 +103,7 @@ class NodeShell(Node):
         self._eager: list[AdaptiveSubscription] = []
         self._bell: Bell | None = None
         self._warnings: dict[str, tuple[str, float]] = {}
+        self._untold: set[str] = set()
         self._log_again: dict[str, float] = {}
         self._told: set[str] = set()
         self._settings_class = settings_class
@@ -166,7 +171,7 @@ class NodeShell(Node):
                 callback(message)
             except MessageError as error:
                 self.counts[f'rejected_{topic.name}'] += 1
-                self.warn_of(topic.name, plain(error, VALUE_LENGTH))
+                self.warn_of(topic.name, str(error))
 
         if eager and self.shell.fast_transport and self._bell is None:
             self._bell = Bell()
@@ -242,7 +247,10 @@ class NodeShell(Node):
     def warn_of(self, what: str, text: str) -> None:
         """Log (throttled) what has happened to something, and warn of it for a while."""
         now = time.monotonic()
+        # it may quote what came from outside
+        text = plain(text, VALUE_LENGTH)
         self._warnings[what] = text, now + WARN_SECONDS
+        self._untold.add(what)
         # rclpy's own throttle takes 0.6 ms to say nothing, which is too long for a flood
         if now >= self._log_again.get(what, 0.0):
             self._log_again[what] = now + WARN_LOG_SECONDS
@@ -257,10 +265,12 @@ class NodeShell(Node):
         """Publish the health of this node, what does not fit in the graph and what was counted."""
         level, summary, values = self.health()
         now = time.monotonic()
-        # of a copy, for other threads may warn meanwhile
+        # of copies, for other threads may warn meanwhile
+        untold = self._untold.copy()
         troubles = [*self._misfits(), *(
             f'{what}: {text}' for what, (text, until) in list(self._warnings.items())
-            if until > now)]
+            if until > now or what in untold)]
+        self._untold -= untold
         if troubles:
             level = max(level, DiagnosticStatus.WARN)
             summary = '; '.join([summary, *troubles])

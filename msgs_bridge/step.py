@@ -8,7 +8,7 @@ number of further named values, its info, which is there for whoever asks for it
 """
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 import dataclasses
 import math
 
@@ -127,6 +127,16 @@ class Step:
         return {name: float(value) for name, value in values.items()}
 
 
+def check_names(what: str, names: Collection[str]) -> None:
+    """Raise MessageError for too many names, or one that is too long, of what is called `what`."""
+    if len(names) > MAX_NAMES:
+        raise MessageError(f'{what} has {len(names)} values; accepted: up to {MAX_NAMES}')
+    longest = max(map(len, names), default=0)
+    if longest > MAX_NAME_LENGTH:
+        raise MessageError(
+            f'{what} has a name of {longest} characters; accepted: up to {MAX_NAME_LENGTH}')
+
+
 def read_step(values: Mapping[str, float]) -> Step:
     """
     Return the step of a bundle's values: the one reader, live and from bags.
@@ -135,14 +145,10 @@ def read_step(values: Mapping[str, float]) -> Step:
         MessageError: a value of the core is missing or out of range, or any value is not finite.
     """
     info = dict(values)
-    if len(info) > MAX_NAMES:
-        raise MessageError(f'step has {len(info)} values; accepted: up to {MAX_NAMES}')
+    check_names('step', info)
     for name, value in info.items():
         if not math.isfinite(value):
-            raise MessageError(f'{name[:MAX_NAME_LENGTH]} is {value}')
-        if len(name) > MAX_NAME_LENGTH:
-            raise MessageError(f'step has a name of {len(name)} characters; '
-                               f'accepted: up to {MAX_NAME_LENGTH}')
+            raise MessageError(f'{name} is {value}')
     try:
         core = {name: info.pop(name) for name in STEP_CORE}
     except KeyError as error:

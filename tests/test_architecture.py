@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The imports are those that docs/architecture.md allows."""
 import ast
+from fnmatch import fnmatch
 from graphlib import TopologicalSorter
 from pathlib import Path
 import re
@@ -81,3 +82,20 @@ def test_only_nodes_and_what_the_page_names_import_rclpy():
         if any(name.split('.')[0] == 'rclpy' for name in imported(path)):
             assert here.endswith(('/node.py', '_node.py')) or here in named, here
     assert all((ROOT / path).is_file() for path in named)
+
+
+GRAPH_CALLS = ('get_*names_and_types*', 'get_*info_by_topic', 'get_node_names*')
+
+
+def test_what_rclpy_cannot_tell_of_the_graph_ends_nobody():
+    """One name on the wire that is no text makes these calls raise, in whatever node."""
+    bare = []
+    for module, path in MODULES.items():
+        tree = ast.parse(path.read_text(encoding='utf-8'))
+        guarded = {id(inside) for node in ast.walk(tree) if isinstance(node, ast.Try)
+                   for statement in node.body for inside in ast.walk(statement)}
+        bare += [f'{module}, line {node.lineno}' for node in ast.walk(tree)
+                 if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)
+                 and any(fnmatch(node.func.attr, one) for one in GRAPH_CALLS)
+                 and id(node) not in guarded and module != 'msgs_bridge.matching']
+    assert not bare, '; '.join(bare)

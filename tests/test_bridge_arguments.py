@@ -1,6 +1,7 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
 """A node as a process: its arguments, its parameter files, its signals."""
+import os
 import signal
 import subprocess
 import sys
@@ -57,6 +58,8 @@ def node(*arguments, **options):
     (['--ros-args', '-p', 'seed:=seven'], "seed must be a whole number, not 'seven'"),
     (['--ros-args', '-p', 'seed:=11'], 'seed is 11; accepted: 0 to 10'),
     (['--ros-args', '-p', 'rate:=true'], 'rate must be a number, not True'),
+    (['--ros-args', '-p', 'use_sim_time:=3'], 'use_sim_time'),
+    (['--ros-args', '-p', 'start_type_description_service:=3'], 'start_type_description_service'),
 ])
 def test_what_is_wrong_is_told_in_one_line(arguments, words):
     done = node(*arguments)
@@ -64,6 +67,34 @@ def test_what_is_wrong_is_told_in_one_line(arguments, words):
     lines = [line for line in done.stderr.splitlines() if line.startswith('error: ')]
     assert len(lines) == 1 and words in lines[0] and 'Traceback' not in done.stderr
     assert len(lines[0]) < 400
+
+
+@pytest.mark.parametrize('domain', ['foo', '233', '-1', '0x1', '9' * 5000])
+def test_a_domain_that_there_is_not_is_told_in_one_line(domain):
+    done = node(env={**os.environ, 'ROS_DOMAIN_ID': domain})
+    assert done.returncode == 2 and done.stderr.count('\n') == 1
+    assert 'ROS_DOMAIN_ID' in done.stderr and 'accepted: 0 to 232' in done.stderr
+    assert len(done.stderr) < 200
+
+
+def test_an_error_is_one_line_whatever_it_quotes():
+    made = 'import sys\nfrom msgs_bridge import errors, node_process\n' \
+           'def fail(): raise errors.BridgeError(sys.argv[1])\nnode_process.run_node(fail, [])'
+    done = subprocess.run(
+        [sys.executable, '-c', made, '\x1b]0;OWNED\x07\nerror: ' + 'x' * 5000],
+        capture_output=True, text=True, timeout=60, cwd=ROOT)
+    assert done.returncode == 2 and done.stderr.startswith('error: ?]0;OWNED??error: xxx')
+    assert done.stderr[:-1].isprintable() and len(done.stderr) < 1100
+
+
+@pytest.mark.parametrize(('shell', 'code', 'told'), [
+    ('"$@" --help > /dev/full', 2, 'error: standard output: No space left on device\n'),
+    ('set -o pipefail; "$@" --help | true', 141, '')])
+def test_help_that_nobody_takes_is_no_traceback(shell, code, told):
+    # a pipe is closed at the other end before an interpreter has started
+    done = subprocess.run(['bash', '-c', shell, 'bash', *COMMAND], capture_output=True, text=True,
+                          timeout=60, cwd=ROOT)
+    assert (done.returncode, done.stderr) == (code, told)
 
 
 def test_help_describes_the_node_without_starting_it():

@@ -1,20 +1,26 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
 """Messages <-> arrays: what is accepted, what is refused, and that nothing is changed."""
+import io
 import math
+import struct
+import subprocess
+import sys
+import zlib
 
 from geometry_msgs.msg import Twist
 from hypothesis import given, strategies
 from carracing_sim_node.controls import command_of, controls
 from msgs_bridge.errors import MessageError
-from msgs_bridge.images import fill_image, image_to_array
+from msgs_bridge.images import compressed_to_array, fill_image, image_to_array
 from msgs_bridge.named_values import fill_named_values, read_named_values
 from msgs_bridge.stamps import to_nanoseconds
-from msgs_bridge.step import read_step, STEP_CORE
+from msgs_bridge.step import MAX_NAMES, read_step, STEP_CORE
 from msgs_bridge.twists import Command, fill_twist, read_command
 import numpy as np
+from PIL import Image as Picture
 import pytest
-from sensor_msgs.msg import Image, JointState
+from sensor_msgs.msg import CompressedImage, Image, JointState
 
 PIXELS = np.random.default_rng(1).integers(0, 256, (96, 96, 3), np.uint8)
 
@@ -74,6 +80,57 @@ def test_twists_out_of_range_are_clamped_and_nan_is_refused():
     twist.angular.z = math.nan
     with pytest.raises(MessageError, match='nan'):
         read_command(twist)
+
+
+def png_with(kind, content=b''):
+    """Return a PNG with one more chunk before its end."""
+    packed = io.BytesIO()
+    Picture.fromarray(PIXELS).save(packed, 'PNG')
+    data = packed.getvalue()
+    end = data.rindex(b'IEND') - 4
+    chunk = kind + content
+    return (data[:end] + struct.pack('>I', len(content)) + chunk
+            + struct.pack('>I', zlib.crc32(chunk)) + data[end:])
+
+
+@pytest.mark.parametrize('data', [
+    png_with(b'iCCP'), png_with(b'gAMA'), png_with(b'tEXt')[:200], b'\x89PNG\r\n\x1a\n', b'',
+    b'x'])
+def test_a_compressed_image_that_cannot_be_unpacked_raises_nothing_else(data):
+    with pytest.raises(MessageError, match='image'):
+        compressed_to_array(CompressedImage(format='png', data=data))
+
+
+WARNING = """
+import sys
+from msgs_bridge.images import compressed_to_array
+from msgs_bridge.errors import MessageError
+from sensor_msgs.msg import CompressedImage
+for _ in range(3):
+    try:
+        compressed_to_array(CompressedImage(data=sys.stdin.buffer.read()))
+    except MessageError:
+        pass
+"""
+
+
+def test_what_pil_thinks_of_an_image_is_no_line_on_stderr():
+    wide = bytearray(png_with(b'tEXt', b'a\0b'))
+    wide[16:24] = struct.pack('>II', 10_000, 10_000)
+    wide[29:33] = struct.pack('>I', zlib.crc32(wide[12:29]))
+    done = subprocess.run([sys.executable, '-c', WARNING], input=bytes(wide),
+                          capture_output=True, timeout=60)
+    assert (done.returncode, done.stderr) == (0, b'')
+
+
+def test_a_bundle_is_bounded_in_names():
+    message = JointState(name=[f'x{number}' for number in range(MAX_NAMES + 1)])
+    message.position = [0.0] * len(message.name)
+    with pytest.raises(MessageError, match='257 values; accepted: up to 256'):
+        read_named_values(message)
+    message.name, message.position = ['x' * 101], [0.0]
+    with pytest.raises(MessageError, match='101 characters'):
+        read_named_values(message)
 
 
 def test_named_values():

@@ -3,15 +3,20 @@
 """What every node has from the shell, over real DDS: it hears, and says what it cannot hear."""
 from array import array
 import dataclasses
+from pathlib import Path
 import subprocess
 import sys
 import threading
 import time
+from types import SimpleNamespace
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import Twist
 from msgs_bridge import topics
 from msgs_bridge.errors import SettingsError
+from msgs_bridge.matching import (
+    as_known, NamesHidden, nodes_of, publishers_of, services_of, topics_of,
+)
 from msgs_bridge.node_shell import NodeShell
 from msgs_bridge.settings import setting
 from msgs_bridge.transport import arrival
@@ -129,7 +134,8 @@ def test_qos_overrides_are_those_of_rclpy(pair):
 @pytest.mark.parametrize('override', [
     'image_raw.subscription.reliability:=perhaps', 'image_raw.subscription.depth:=many',
     'image_raw.subscription.depth:=-3', 'cmd_vel.publisher.history:=some',
-    'cmd_vel.publisher.reliability:=2'])
+    'cmd_vel.publisher.reliability:=2', 'cmd_vel.publisher.depth:=99999999999',
+    'image_raw.subscription.depth:=99999999999'])
 def test_an_override_that_there_is_not_is_refused_in_a_line(pair, override):
     with pytest.raises(SettingsError, match='qos_overrides'):
         pair.start(Listener, '-p', f'qos_overrides.{pair.space}/{override}')
@@ -277,6 +283,47 @@ def test_texts_from_outside_are_cut(pair):
     pair.spin_until(lambda: pair.status, 5, 'diagnostics')
     assert len(pair.status.message) == 300 and '\x1b' not in pair.status.message
     assert len(pair.value('x')) == 200 and '\x1b' not in pair.value('x')
+
+
+def test_what_is_warned_of_is_plain_wherever_it_comes_from(pair, monkeypatch):
+    node = pair.start(Listener)
+    logged = []
+    monkeypatch.setattr(node, 'get_logger', lambda: SimpleNamespace(warn=logged.append))
+    node.warn_of('reset_service', 'refused: \x1b]0;OWNED\x07' + 'x' * 3000 + '\nerror: no error')
+    line, = logged
+    assert line.isprintable() and len(line) < 300
+    assert line.startswith('reset_service: refused: ?]0;OWNED?xxx')
+
+
+def test_names_that_are_no_text_hide_no_more_than_themselves(pair):
+    """Of no topic at all does rclpy tell then, and of no publisher of that one."""
+    node = pair.start(Listener)
+    forged = f'{pair.space}/forged'
+    forger = subprocess.Popen(
+        [sys.executable, str(Path(__file__).parent / 'forger.py'), forged, 'no_text'],
+        stdout=subprocess.PIPE, text=True)
+    try:
+        assert forger.stdout.readline() == 'announced\n'
+        camera = pair.offer(Image, 'image_raw')
+
+        def hidden():
+            try:
+                topics_of(node)
+            except NamesHidden:
+                return True
+            return False
+
+        pair.spin_until(hidden, 10, 'a name that is no text')
+        pair.spin_until(lambda: as_known(topics_of, node).get(camera.topic_name) == [
+            'sensor_msgs/msg/Image'], 10, 'the topics of others')
+        assert publishers_of(node, forged) == []
+        assert len(publishers_of(node, camera.topic_name)) == 1
+        assert ('other', pair.space) in nodes_of(node)
+        assert f'{pair.space}/listener/get_parameters' in as_known(services_of, node)
+    finally:
+        forger.kill()
+        forger.wait()
+        forger.stdout.close()
 
 
 def test_a_publisher_that_is_gone_is_no_misfit():

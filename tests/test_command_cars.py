@@ -74,3 +74,10 @@ def test_what_comes_in_their_place_is_bounded_and_no_text_of_theirs_is_markup():
     # a stranger's parts are nobody's cars
     state.take_diagnostics(DiagnosticArray(status=[status('/other/trainer_node: /car_9')]))
     assert len(state.cars) == 1
+
+
+def test_a_sign_that_is_a_digit_and_no_number_ends_nothing():
+    state = GraphState()
+    state.take_diagnostics(of_trainer([('\u00b2',), (2,), ('\u0662',)]))
+    assert sum('car_' in line for line in shown(cars_table(state, 30))) == 3
+    assert '; 3 cars' in training_line(state)

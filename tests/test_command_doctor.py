@@ -1,12 +1,16 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
 """`carracing doctor` says what of the machine and of the graph is wrong, and what mends it."""
+import io
 import os
 
 from carracing_dqn.bringup.doctor_command import BAD, GOOD, UNSURE
+from carracing_dqn.bringup.findings_table import findings_table
 from carracing_dqn.bringup.machine_checks import machine_findings
+from carracing_dqn.simulation.fit import Finding
 from graph_probe import carracing
 import pytest
+from rich.console import Console
 
 WIDE = {'COLUMNS': '200'}
 
@@ -50,10 +54,20 @@ def test_every_finding_that_is_not_good_has_a_cure(monkeypatch, tmp_path):
     assert all(one.mend for one in found.values() if one.verdict != GOOD)
 
 
-def test_it_ends_with_1_before_it_looks_at_a_graph_that_cannot_be():
-    said = doctor(ROS_LOG_DIR='/proc/nowhere')
-    assert said.returncode == 1 and 'Traceback' not in said.stderr
-    assert 'nodes find' not in said.stdout
+@pytest.mark.parametrize(('environment', 'name'), [
+    ({'ROS_LOG_DIR': '/proc/nowhere'}, 'home'), ({'ROS_DOMAIN_ID': 'foo'}, 'domain'),
+    ({'ROS_DOMAIN_ID': '233'}, 'domain')])
+def test_it_ends_with_1_before_it_looks_at_a_graph_that_cannot_be(environment, name):
+    said = doctor(**environment)
+    assert said.returncode == 1 and not said.stderr
+    assert 'nodes find' not in said.stdout and f' {name} ' in said.stdout
+
+
+def test_nothing_in_a_finding_is_more_than_text():
+    console = Console(file=io.StringIO(), width=200)
+    console.print(findings_table([Finding('/x\x1b[31m', BAD, '\x1b]0;OWNED\x07', '\x9b31m')]))
+    assert 'OWNED' in console.file.getvalue()
+    assert not set(console.file.getvalue()) & {'\x1b', '\x07', '\x9b'}
 
 
 def test_a_faulty_graph_is_named_and_shown(graph):

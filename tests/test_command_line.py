@@ -4,6 +4,7 @@
 import errno
 import io
 import re
+import subprocess
 import sys
 
 from carracing_dqn.bringup import command
@@ -15,6 +16,7 @@ from carracing_dqn.bringup.run_command import laps_line, laps_table
 from carracing_dqn.bringup.training_display import training_line, training_table
 from carracing_dqn.bringup.graph import POLICY, SIMULATOR, TRAINER
 from carracing_dqn.watch.painting import spark
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from dqn_policy_node import load_policy
 from msgs_bridge.settings import describe
 from msgs_bridge.step import EPISODE_CORE, VALIDATION_FIELDS
@@ -84,6 +86,14 @@ def test_the_list_has_every_hyperparameter_with_what_it_accepts(capsys):
     known = describe(Hyperparameters)
     assert list(listed) == list(known)
     assert 'gamma=0.5  (0 to 1)' in lines and listed['double'] == 'true or false'
+
+
+def test_a_reader_that_goes_is_told_apart_from_a_failure():
+    # through rich, which ends with 1 by itself
+    done = subprocess.run(
+        ['bash', '-c', 'set -o pipefail; "$@" | true', 'bash', sys.executable, '-m',
+         'carracing_dqn.bringup', 'train', '--list'], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stderr) == (141, '')
 
 
 @pytest.mark.parametrize(('error', 'code', 'told'), [
@@ -183,6 +193,20 @@ def test_a_curve_shows_the_whole_run_in_bounded_memory():
     # a run that is begun anew has a curve of its own
     curve.add(1.0, 5.0)
     assert curve.points == [(1.0, 5.0)]
+
+
+@pytest.mark.parametrize('said', [
+    (('1', '1e308'), ('2', '-1e308'), ('3', '1e308')), (('1e-320', '1'), ('2e-320', '2')),
+    (('-1.7e308', '1'), ('1.7e308', '2'))])
+def test_no_number_of_a_trainer_ends_the_display(said):
+    state = GraphState()
+    for seconds, mean in said:
+        state.take_diagnostics(DiagnosticArray(status=[DiagnosticStatus(
+            name=f'/{TRAINER.name}', values=[KeyValue(key='wall_seconds', value=seconds),
+                                             KeyValue(key='mean_return', value=mean)])]))
+    text = io.StringIO()
+    Console(file=text, width=80, height=60).print(training_table(state, 60))
+    assert '▁' in text.getvalue() and '█' in text.getvalue()
 
 
 def test_a_resumed_run_goes_on_with_its_curve(tmp_path):

@@ -7,8 +7,9 @@ from carracing_dqn.bringup.graph import KINDS, SIMULATOR
 from carracing_dqn.bringup.monitor import absolute_namespace, KEPT_RESULTS, Monitor
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from msgs_bridge import topics
-from msgs_bridge.errors import BridgeError
+from msgs_bridge.errors import BridgeError, MessageError
 from msgs_bridge.health import SUMMARY_LENGTH
+from msgs_bridge.listening_node import node_of_a_command
 from msgs_bridge.named_values import fill_named_values
 from msgs_bridge.step import EPISODE_CORE, VALIDATION_FIELDS
 import pytest
@@ -95,6 +96,9 @@ def test_what_is_kept_is_bounded_and_all_are_counted(graph, monitor):
     assert monitor.state.ended == 3 * KEPT_RESULTS
     assert len(monitor.state.episodes) == KEPT_RESULTS
     assert monitor.state.mean_return == (3 * KEPT_RESULTS - 1) / 2
+    for large in ({f'x{number}': 1.0 for number in range(1000)}, {'x' * 10_000: 1.0}):
+        with pytest.raises(MessageError, match='accepted: up to'):
+            monitor.state.take_episode(bundle({**ENDED, **large}))
 
 
 def test_it_hears_again_after_a_flood(graph, monitor):
@@ -116,11 +120,23 @@ def test_namespaces_are_made_absolute(text, namespace):
     assert absolute_namespace(text) == namespace
 
 
-@pytest.mark.parametrize('text', ['a b', '1car', 'a//b', 'x' * 1000, '[/x]', 'a\x1b[31m'])
+@pytest.mark.parametrize('text', [
+    'a b', '1car', 'a//b', 'x' * 240, 'x' * 1000, '[/x]', 'a\x1b[31m'])
 def test_what_is_no_namespace_is_named(text):
     with pytest.raises(BridgeError, match='--namespace is') as found:
         absolute_namespace(text)
     assert len(str(found.value)) < 400 and str(found.value).isprintable()
+
+
+@pytest.mark.parametrize(('domain', 'namespace', 'told'), [
+    ('foo', '', "ROS_DOMAIN_ID is 'foo'"), ('233', '', "ROS_DOMAIN_ID is '233'"),
+    ('1', '/' + 'x' * 240, 'ROS does not start')])
+def test_what_keeps_a_node_of_a_command_from_starting_is_one_line(
+        monkeypatch, domain, namespace, told):
+    monkeypatch.setenv('ROS_DOMAIN_ID', domain)
+    with pytest.raises(BridgeError, match=told) as caught:
+        node_of_a_command('some_command', namespace)
+    assert '\n' not in str(caught.value)
 
 
 def test_names_and_roles_of_nodes_are_unique():

@@ -66,6 +66,18 @@ def test_too_few_open_files_are_raised_or_told_in_one_line():
     assert len(done.stderr.splitlines()) == 1
 
 
+@pytest.mark.parametrize('closed', ['<&-', '>&-', '2>&-', '<&- >&- 2>&-'])
+@pytest.mark.parametrize(('name', 'word'), [
+    ('carracing', '--version'), ('referee_node', '--help')])
+def test_a_stream_that_is_closed_leads_nowhere(name, word, closed):
+    done = subprocess.run(
+        ['bash', '-c', f'exec "$@" {closed}', 'bash', sys.executable, '-c',
+         f'import sys; from carracing_dqn.bringup import start; sys.argv[1:] = [{word!r}]; '
+         f'sys.exit(start.{name}())'], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stderr) == (0, '')
+    assert bool(done.stdout) == (' >&-' not in f' {closed}')
+
+
 def test_a_node_that_is_stopped_while_it_starts_says_nothing():
     slow = ('import os, signal, sys, types; from carracing_dqn.bringup import start; '
             'sys.meta_path.insert(0, types.SimpleNamespace(find_spec=lambda name, *_: '

@@ -177,13 +177,36 @@ def test_a_path_says_how_far_it_went_and_how_far_off():
 
 def test_what_is_no_number_and_no_path_is_refused():
     referee = Referee(RefereeSettings())
-    for points in (np.zeros((1, 2)), np.zeros((5, 2)), np.full((3, 2), math.nan)):
+    for points in (np.zeros((1, 2)), np.zeros((5, 2)), np.full((3, 2), math.nan),
+                   np.array([[-1e308, 0.0], [1e308, 0.0]]), np.array([[0, 0], [1e-200, 0]])):
         with pytest.raises(MessageError, match='path'):
             referee.hear_path(points)
     with pytest.raises(MessageError, match='lane_offset is nan'):
         referee.hear_number('lane_offset', math.nan, 0.0)
     with pytest.raises(MessageError, match='not finite'):
         referee.hear_odometry(0, Pose(math.inf, 0.0, 0.0))
+
+
+@pytest.mark.parametrize(('settings', 'odd', 'topic'), [
+    ({'lane_offset_penalty': 1.0}, {'lane': 1e30}, 'lane_offset'),
+    ({'forward_weight': 1.0, 'lane_offset_penalty': 1.0}, {'lane': 0.0, 'ahead': 1e300}, 'odom'),
+    ({'goal_weight': 1e6, 'lane_offset_penalty': 1.0}, {'lane': 0.0, 'goal': 1e9},
+     'goal_distance')])
+def test_a_number_that_cannot_be_spoils_no_more_than_its_frame(settings, odd, topic):
+    robot = Robot(**settings)
+    usual = {'lane': 0.1, 'goal': 9.0}
+    for number in range(10):
+        if number == 5:
+            assert robot.frame(**{**usual, **odd}) == []
+            assert 'cannot be judged by' in robot.referee.missing.pop(topic)
+            assert not robot.referee.missing
+            robot.x = 0.5
+        else:
+            robot.frame(**usual)
+    assert robot.referee.counts['frames_not_judged'] == 1
+    assert [read_step(one.values()) for one in robot.steps] == robot.steps
+    # what follows is no successor of what was judged last
+    assert [one.decision for one in robot.steps] == [0, 1, 2, 3, 4, 6, 7, 8, 9]
 
 
 def test_terms_that_are_off_need_no_topic():

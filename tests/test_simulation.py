@@ -254,8 +254,19 @@ class Odd(Simulator):
     ([Outcome(PIXELS)], r'failed in advance: IndexError: .* \(test_simulation.py, line'),
     ([Outcome(PIXELS), Outcome(PIXELS, frames=3)], '3 frames passed; asked for 2'),
     ([Outcome(PIXELS, info={'speed': float('inf')})], "info 'speed' inf"),
-    ([Outcome(PIXELS, info={'gear': 'first'})], "info 'gear' 'first'"),
+    ([Outcome(PIXELS, info={'gear': 'first'})], "info 'gear' first"),
+    ([Outcome(PIXELS, info={'gear': 10**400})], "info 'gear' 1000"),
     ([Outcome(PIXELS, info={'reward': 1.0})], 'means something else'),
+    ([Outcome(PIXELS, info=None)], 'as info None; expected names and numbers'),
+    ([Outcome(PIXELS, info=[('a', 1)])], 'as info'),
+    ([Outcome(PIXELS, info={1: 1.0})], "an info '1'; expected a name"),
+    ([Outcome(PIXELS, info={'a' * 101: 1.0})], 'up to 100 letters'),
+    ([Outcome(PIXELS, info={'\udcff': 1.0})], 'expected a name'),
+    ([Outcome(PIXELS, info={f'a{n}': 1.0 for n in range(240)})], '240 values; accepted: up to'),
+    ([Outcome(PIXELS), Outcome(PIXELS, 1e12, frames=1)], 'the reward 1000000000000.0; accepted'),
+    ([Outcome(PIXELS), Outcome(PIXELS, 10**5000, frames=1)], 'the reward of type int'),
+    ([Outcome(PIXELS), *2 * [Outcome(PIXELS, 9e8, frames=1)]], r'add up to 1.8e\+09'),
+    ([Outcome(PIXELS), Outcome(PIXELS, 0.0, PIXELS, frames=1)], 'gives terminated'),
     ([Outcome(PIXELS, info={'a': 1}), Outcome(PIXELS, frames=1)], 'now and then')])
 def test_what_a_simulator_does_not_owe_is_named(outcomes, told):
     drive = Drive(Odd(outcomes), SimulationSettings(simulator='odd', action_repeat=2))
@@ -267,12 +278,27 @@ def test_what_a_simulator_does_not_owe_is_named(outcomes, told):
 
 @pytest.mark.parametrize(('name', 'value', 'told'), [
     ('frame_seconds', 0, 'frame_seconds'), ('frame_seconds', 'fast', 'frame_seconds'),
-    ('constants', {'seed': 1.0}, 'means something else'), ('constants', {'a': None}, 'constant')])
+    ('constants', {'seed': 1.0}, 'means something else'), ('constants', {'a': None}, 'constant'),
+    ('constants', None, 'as constant None'),
+    ('constants', {f'a{n}': 1 for n in range(240)}, '240 values')])
 def test_what_is_wrong_from_the_start_is_said_at_the_start(name, value, told):
     simulator = Odd([])
     setattr(simulator, name, value)
     with pytest.raises(SimulatorError, match=told):
         Drive(simulator, SimulationSettings())
+
+
+class Exiting(toy_simulator.Toy):
+    def __init__(self, settings):
+        raise SystemExit(0)
+
+
+class Unskippable(toy_simulator.Toy):
+    def skip(self, episodes, seed):
+        return 1 / 0
+
+    def close(self):
+        return 1 / 0
 
 
 class Unmakeable(toy_simulator.Toy):
@@ -285,6 +311,49 @@ def test_a_simulator_that_cannot_be_made_is_one_line_with_the_place():
         open_drive({'simulator': f'{__name__}:Unmakeable'})
     with pytest.raises(SimulatorError, match='failed in __init__'):
         make_simulator(f'{__name__}:Unmakeable')
+    # an exit would be a node's that has done its work
+    with pytest.raises(SimulatorError, match='failed in __init__: SystemExit: 0'):
+        make_simulator(f'{__name__}:Exiting')
+    drive = Drive(Unskippable(None), SimulationSettings(first_episode=3))
+    with pytest.raises(SimulatorError, match='failed in skip: ZeroDivisionError'):
+        drive.begin()
+    with pytest.raises(SimulatorError, match='failed in close: ZeroDivisionError'):
+        drive.close()
+
+
+@dataclasses.dataclass(frozen=True)
+class Undescribed:
+    speed: int = 3
+
+
+@dataclasses.dataclass(frozen=True)
+class Unset:
+    speed: int = setting('fast', 'a default of another type')
+
+
+@dataclasses.dataclass(frozen=True)
+class Listed:
+    gears: list = setting((), 'what no parameter can be')
+
+
+class Wrong(toy_simulator.Toy):
+    Settings = None
+
+
+@pytest.mark.parametrize('settings_class', [None, int, Undescribed, Unset, Listed])
+def test_settings_that_cannot_become_parameters_are_one_line(monkeypatch, settings_class):
+    monkeypatch.setattr(Wrong, 'Settings', settings_class)
+    settings_for.cache_clear()
+    for make in (settings_for, make_simulator):
+        with pytest.raises(SettingsError, match='Settings is no class of settings') as caught:
+            make(f'{__name__}:Wrong')
+        assert '\n' not in str(caught.value)
+
+
+def test_a_profile_whose_name_is_no_text_is_one(tmp_path):
+    path = tmp_path / 'p\udcff.yaml'
+    path.write_text('simulator: carracing\nsettings: {zoom: false}\n')
+    assert find_simulator(str(path)).Settings().zoom is False
 
 
 # When it goes on. --------------------------------------------------------------------------------

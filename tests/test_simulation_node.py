@@ -4,6 +4,7 @@
 import itertools
 from pathlib import Path
 import signal
+import sys
 import time
 
 from carracing_dqn.bringup.processes import node_command
@@ -26,6 +27,7 @@ SIM = ('carracing_sim_node', 'carracing_sim_node')
 POLICY = ('dqn_policy_node', 'dqn_policy_node')
 TOY = 'toy_simulator:Toy'
 FAILING = """
+from carracing_sim_node.simulator import CarRacing
 from msgs_bridge.errors import SimulatorError
 import toy_simulator
 
@@ -34,6 +36,10 @@ class Failing(toy_simulator.Toy):
         if getattr(self, 'frame', 0):
             raise SimulatorError('the engine is gone')
         return super().reset(seed)
+
+class Unmade(CarRacing):
+    def __init__(self, settings):
+        raise SystemExit(0)
 """
 
 
@@ -183,6 +189,20 @@ def test_two_simulators_by_simulation_time_share_one_clock(graph):
         assert moved.count(0.5) > len(moved) / 2
 
 
+def test_a_clock_whose_type_is_no_text_does_not_end_a_simulator(graph):
+    graph.listen(topics.STEP, topics.DIAGNOSTICS)
+    child = graph.node(*SIM, simulator=TOY, stepping='real_time')
+    # it would leave the clock to one that was there before
+    graph.spin_until(lambda: graph.health(SIM[1]).get('publishes_clock') == 'True', 30, 'its own')
+    graph.start('forger', [
+        sys.executable, str(Path(__file__).parent / 'forger.py'), topics.CLOCK.name, 'no_text'])
+    graph.spin_until(lambda: graph.children['forger'].said('announced'), 20, 'the forged clock')
+    graph.spin(2.5)
+    count = len(graph.messages['step'])
+    graph.spin_until(lambda: len(graph.messages['step']) > count + 5, 10, 'driving on')
+    assert child.process.poll() is None
+
+
 @pytest.mark.parametrize('act', ['drive', 'reset'])
 def test_a_simulator_that_cannot_go_on_says_so_in_one_line(graph, act):
     graph.listen(topics.IMAGE, topics.STEP)
@@ -205,6 +225,7 @@ def test_a_simulator_that_cannot_go_on_says_so_in_one_line(graph, act):
 
 @pytest.mark.parametrize(('simulator', 'told'), [
     ('slow', 'accepted: carracing, fast, gymnasium'), ('failing:Nothing', "has no 'Nothing'"),
+    ('failing:Unmade', 'failed in __init__: SystemExit: 0 (failing.py'),
     ('toy_simulator:Toy', "unknown setting 'zoom'")])
 def test_a_simulator_that_is_not_there_ends_the_node_with_one_line(graph, simulator, told):
     code, errors = ended(graph.node(*SIM, simulator=simulator, zoom=False))

@@ -1,7 +1,9 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
 """The state that is watched: bounded whatever comes, and what is wrong named by its cause."""
+import io
 import json
+import math
 
 from bag_cases import bundle, image, serialized, stamp_of, TYPES, twist
 from carracing_dqn.watch import causes, painting
@@ -9,11 +11,13 @@ from carracing_dqn.watch.car import MAX_SMALL_BYTES
 from carracing_dqn.watch.graph_parts import End, Misfit, RATE_SECONDS, Topic, TopicEnds
 from carracing_dqn.watch.series import KEPT_SECONDS, MAX_NAMES, SeriesTable
 from carracing_dqn.watch.state import MAX_CARS, MAX_NODES, MAX_TOPICS, WatchState
+from msgs_bridge.bars import share_between
 from msgs_bridge.step import Step
 from msgs_bridge.topics import CMD_VEL, DIAGNOSTICS, IMAGE, Q_VALUES, STEP, TOPICS, WEIGHTS
 from msgs_bridge.twists import Command
 import numpy as np
 import pytest
+from rich.console import Console
 
 SIMULATOR, POLICY, TRAINER, RECORDER = (
     '/carracing_sim_node', '/dqn_policy_node', '/trainer_node', '/bag_recorder_node')
@@ -340,6 +344,44 @@ def test_nothing_that_comes_ends_it_and_everything_is_bounded():
     assert shown['rejected'] > 5
     assert len(state.nodes) <= MAX_NODES and len(state.topics) <= MAX_TOPICS
     assert len(state.cars) <= MAX_CARS and '\\u001b' not in text
+
+
+def test_no_name_from_outside_is_more_than_a_name():
+    state, now = WatchState('test'), 5.0
+    evil = '\x1b]0;OWNED\x07'
+    state.see_graph(NODES, {**GRAPH, f'/{evil}/image_raw': ends(IMAGE, SIMULATOR),
+                            '/' + 'x' * 300: ends(STEP, SIMULATOR)}, now)
+    step = Step(1.0, False, False, 0, 99, 99.0, 5, None, {f'{evil}speed': 1.0})
+    state.take('/step', STEP.type_name, bundle(10**12, step.values()), now + 1)
+    state.look(now + 1)
+    name = next(one for one in state.snapshot(now + 1)['series'] if 'OWNED' in one)
+    # it is asked for as it is told
+    shown = state.snapshot(now + 1, plots=[name])
+    assert list(shown['plots']) == [name]
+    assert set(state.topics) == set(GRAPH)
+    painted = [painting.topics(shown), painting.plots(shown, 40), painting.drive(shown)]
+    console = Console(file=io.StringIO(), width=100, force_terminal=False)
+    console.print(*painted)
+    for text in (json.dumps(shown, ensure_ascii=False), console.file.getvalue()):
+        assert '\x1b' not in text and '\x07' not in text
+
+
+@pytest.mark.parametrize('values', [
+    {'a': None}, {}, {'a': None, 'b': 1.0}, {'a': 1.7e308, 'b': -1.7e308}, {'a': 1.0, 'b': 1.0}])
+def test_any_values_of_actions_can_be_painted(values):
+    shown = {'drive': {'actions': list(values.items()), 'chosen': (0,), 'explored': False}}
+    bars = [line.count('█') for line in painting.drive(shown).plain.split('\n')[-1 - len(values):]]
+    assert max(bars) <= painting.BAR_WIDTH
+    if values.get('b') == -1.7e308:
+        assert bars[:2] == [painting.BAR_WIDTH, 1]
+
+
+@pytest.mark.parametrize(('value', 'low', 'high', 'share'), [
+    (1, 0, 4, 0.25), (0, -1.7e308, 1.7e308, 0.5), (1.7e308, -1.7e308, 1.7e308, 1.0),
+    (1e-320, 0, 2e-320, 0.5), (2, 2, 2, 0.0), (9, 0, 1, 1.0), (-9, 0, 1, 0.0),
+    (math.nan, 0, 1, 0.0), (1, 0, math.inf, 0.0), (0, -math.inf, 1, 0.0)])
+def test_a_bar_has_a_length_whatever_the_numbers(value, low, high, share):
+    assert share_between(value, low, high) == share
 
 
 def test_series_are_bounded_in_names_and_time_and_go_back_with_a_bag():

@@ -32,6 +32,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from dqn_policy_node.camera import Camera
 from msgs_bridge import topics
 from msgs_bridge.errors import BridgeError
+from msgs_bridge.matching import as_known, topics_of
 from msgs_bridge.named_values import read_named_values
 from msgs_bridge.node_shell import Finished, NodeShell, run_node
 from msgs_bridge.step import VALIDATION_FIELDS
@@ -122,7 +123,7 @@ class TrainerNode(NodeShell):
             car.forget()
             self.get_logger().info(f'{car.source.name} is gone')
         known = {car.source.name for car in self._cars}
-        there = dict(self.get_topic_names_and_types())
+        there = as_known(topics_of, self)
         found = self._names.matching(
             name.removesuffix(CAR_SUFFIX) for name in there if name.endswith(CAR_SUFFIX))
         for name in found:

@@ -89,7 +89,7 @@ def _trouble(state: GraphState, car: str) -> str:
 
 def _in_order(car: str) -> list[object]:
     """Return what sorts car_2 before car_10."""
-    return [(int(part), '') if part.isdigit() else (-1, part)
+    return [(int(part), '') if part.isdecimal() else (-1, part)
             for part in re.split(r'([0-9]+)', car)]
 
 

@@ -16,7 +16,9 @@ from msgs_bridge import topics
 from msgs_bridge.adaptive_subscription import AdaptiveSubscription
 from msgs_bridge.errors import BridgeError, MessageError
 from msgs_bridge.listening_node import node_of_a_command
-from msgs_bridge.matching import deaf_subscriptions, publishers_of, subscriptions_of
+from msgs_bridge.matching import (
+    as_known, deaf_subscriptions, publishers_of, subscriptions_of, topics_of,
+)
 from msgs_bridge.message_types import message_class
 from msgs_bridge.plain_text import plain
 from msgs_bridge.qos import qos_profile
@@ -133,7 +135,7 @@ class _Look:
         seen.offered = sorted({
             one.qos_profile.reliability.name.lower().replace('_', ' ') for one in publishers})
         seen.other_images = sorted(
-            name for name, types in node.get_topic_names_and_types()
+            name for name, types in as_known(topics_of, node).items()
             if {IMAGE_TYPE, COMPRESSED_TYPE} & set(types) and publishers_of(node, name))
         stamped = self._settings.cmd_vel_stamped
         listeners = subscriptions_of(node, seen.cmd_vel_topic)

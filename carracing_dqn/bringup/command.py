@@ -71,6 +71,11 @@ def main(words: list[str] | None = None) -> int:
         return _run(words)
     except KeyboardInterrupt:
         return INTERRUPTED
+    except SystemExit as error:
+        # rich makes one of a broken pipe itself
+        if isinstance(error.__context__, BrokenPipeError):
+            return READER_GONE
+        raise
     except BrokenPipeError:
         # who read our output has gone; what is left in the buffer has nowhere to go
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

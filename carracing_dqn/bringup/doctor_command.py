@@ -20,6 +20,8 @@ DISCOVERY_SECONDS = 8.0
 LEAST_SECONDS, MOST_SECONDS = 1.0, 600.0
 LISTEN_SECONDS = 10.0
 WARNING = 'warning'
+# what of the machine keeps a node from joining any graph
+HOPELESS = ('ROS', 'domain', 'discovery', 'home')
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -35,7 +37,7 @@ def main(arguments: argparse.Namespace) -> int:
                           f'{MOST_SECONDS:g}')
     console = Console()
     found = list(machine_findings())
-    if not any(one.verdict == BAD and one.name in ('ROS', 'discovery', 'home') for one in found):
+    if not any(one.verdict == BAD and one.name in HOPELESS for one in found):
         say(console, f'looking at the graph for {arguments.seconds:g} s')
         found += _graph_findings(console, arguments.seconds)
     console.print(findings_table(found))

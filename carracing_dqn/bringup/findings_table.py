@@ -6,6 +6,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from carracing_dqn.simulation.fit import BAD, Finding, UNSURE
+from msgs_bridge.plain_text import plain
+from msgs_bridge.terminal import LINE
 from rich.table import Table
 from rich.text import Text
 
@@ -18,7 +20,8 @@ def findings_table(found: Sequence[Finding]) -> Table:
     for column in ('what', '', 'found', 'what mends it'):
         table.add_column(column, overflow='fold')
     for one in found:
-        # texts of others stand in it: no markup
-        table.add_row(Text(one.name), Text(one.verdict, style=COLOURS.get(one.verdict, 'green')),
-                      Text(one.found), Text(one.mend))
+        # texts of others stand in it: no markup, and nothing that a terminal obeys
+        name, found, mend = (plain(text, LINE) for text in (one.name, one.found, one.mend))
+        table.add_row(Text(name), Text(one.verdict, style=COLOURS.get(one.verdict, 'green')),
+                      Text(found), Text(mend))
     return table

@@ -15,6 +15,7 @@ import socket
 import sys
 
 from carracing_dqn.simulation.fit import BAD, Finding, GOOD, UNSURE
+from msgs_bridge.before_rclpy import is_domain
 from msgs_bridge.errors import BridgeError
 from msgs_bridge.host_only import OPEN, PROFILE_VARIABLE, RANGE, stay_on_this_host
 from msgs_bridge.log_folder import ensure_log_folder, VARIABLE as LOG_VARIABLE
@@ -23,7 +24,7 @@ from msgs_bridge.machine import code_version, cores
 PYTHONS = ((3, 10), (3, 14))
 LIBRARIES = ('rclpy', 'ros-rclpy', 'gymnasium', 'torch', 'numpy', 'mcap', 'rosbags', 'textual')
 # ports of DDS above these domains are those that Linux hands out to others
-MOST_DOMAIN, LAST_DOMAIN = 101, 232
+MOST_DOMAIN = 101
 # what a graph opens at least, and what it should have
 FEW_FILES, ENOUGH_FILES = 64, 1024
 # DDS' shared memory takes some MB a node; a bag of an hour 5 GB
@@ -89,7 +90,7 @@ def _ros() -> Finding:
 
 def _domain() -> Finding:
     text = os.environ.get('ROS_DOMAIN_ID', '') or '0'
-    if not text.isdecimal() or int(text) > LAST_DOMAIN:
+    if not is_domain(text):
         return Finding('domain', BAD, f'ROS_DOMAIN_ID is {text[:20]!r}',
                        f'a number from 0 to {MOST_DOMAIN}')
     if int(text) > MOST_DOMAIN:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 import importlib
+import os
 import resource
 import sys
 
@@ -20,6 +21,7 @@ ENOUGH_FILES = 1024
 def _starting(module: str, interrupted: int = 0) -> Callable[[], int]:
     """Return a `main` that imports a module's, which takes seconds, and runs it."""
     def main() -> int:
+        _fill_streams()
         files = _allow_open_files()
         if files < FEWEST_FILES:
             reason = (f'only {files} files may be open at once, {FEWEST_FILES} is the least: '
@@ -39,6 +41,16 @@ def _starting(module: str, interrupted: int = 0) -> Callable[[], int]:
         return ERROR
 
     return main
+
+
+def _fill_streams() -> None:
+    """Let a stream that was closed before we began lead nowhere; Python has None in its place."""
+    for name, mode in (('stdin', 'r'), ('stdout', 'w'), ('stderr', 'w')):
+        if getattr(sys, name) is None:
+            # lowest first, so that each gets the number it should have, for our children, too
+            number = os.open(os.devnull, os.O_RDWR)
+            os.set_inheritable(number, True)
+            setattr(sys, name, os.fdopen(number, mode, encoding='utf-8'))
 
 
 def _allow_open_files() -> int:

@@ -200,9 +200,9 @@ def _graph(
     done: ResumePoint,
 ) -> Graph:
     preset = choose_preset(arguments.preset, arguments.simulator)
-    if Path(preset).expanduser().is_file():
+    if Path(os.path.expanduser(preset)).is_file():
         # paths count from the run folder, which is where the nodes are
-        preset = os.path.relpath(Path(preset).expanduser().resolve(), folder.resolve())
+        preset = os.path.relpath(Path(os.path.expanduser(preset)).resolve(), folder.resolve())
     vehicle = profile_of(found_from(hyperparameters.simulator, folder)).vehicle
     trainer = {'run': '.', 'resume': arguments.resume is not None, 'preset': preset,
                'overrides': ','.join(arguments.pairs), 'tensorboard': arguments.tensorboard}

@@ -15,12 +15,16 @@ from msgs_bridge.images import MAX_SIDE
 from msgs_bridge.plain_text import plain
 from msgs_bridge.simulator import Outcome, Simulator
 from msgs_bridge.stamps import NANOSECONDS
-from msgs_bridge.step import EPISODE_CORE, STEP_CORE, STEP_INFO
+from msgs_bridge.step import (
+    EPISODE_CORE, MAX_NAME_LENGTH, MAX_NAMES, MAX_REWARD, STEP_CORE, STEP_INFO,
+)
 from msgs_bridge.twists import Command
 import numpy as np
 
 # simulated seconds of a frame
 SHORTEST_FRAME, LONGEST_FRAME = 1e-6, 10.0
+# constants and info, which travel together with `episode`
+MOST_VALUES = MAX_NAMES - len({**EPISODE_CORE, **STEP_CORE, **STEP_INFO})
 
 
 @contextlib.contextmanager
@@ -39,7 +43,8 @@ def blamed(name: str, what: str) -> Iterator[None]:
         yield
     except BridgeError:
         raise
-    except Exception as error:
+    except (Exception, SystemExit) as error:
+        # a library's exit would end the node with any code, 0 for one
         place = traceback.extract_tb(error.__traceback__)[-1]
         raise SimulatorError(
             f'simulator {name[:100]!r} failed in {what}: {type(error).__name__}: {plain(error)} '
@@ -54,6 +59,7 @@ class Checks:
         self._name = name[:100]
         self._shape: tuple[int, ...] | None = None
         self._names: tuple[str, ...] | None = None
+        self._constants = 0
 
     def _refuse(self, what: str) -> SimulatorError:
         return SimulatorError(f'simulator {self._name!r} {what}')
@@ -63,14 +69,16 @@ class Checks:
         seconds = getattr(simulator, 'frame_seconds', None)
         if not (isinstance(seconds, (int, float))
                 and SHORTEST_FRAME <= seconds <= LONGEST_FRAME):
-            raise self._refuse(f'has frame_seconds {seconds!r}; accepted: {SHORTEST_FRAME:g} to '
-                               f'{LONGEST_FRAME:g}')
+            raise self._refuse(f'has frame_seconds {_shown(seconds)}; accepted: '
+                               f'{SHORTEST_FRAME:g} to {LONGEST_FRAME:g}')
         return round(seconds * NANOSECONDS)
 
     def constants(self, simulator: Simulator) -> dict[str, float]:
         """Return its constants."""
-        self._numbers('constant', simulator.constants, (*EPISODE_CORE, *STEP_INFO))
-        return {name: float(value) for name, value in simulator.constants.items()}
+        constants = getattr(simulator, 'constants', None)
+        self._numbers('constant', constants, (*EPISODE_CORE, *STEP_INFO))
+        self._constants = len(constants)
+        return {name: float(value) for name, value in constants.items()}
 
     def reset(self, simulator: Simulator, seed: int | None) -> Outcome:
         """Reset it and return what came of it."""
@@ -89,19 +97,30 @@ class Checks:
         self._outcome(outcome, frames, draw=draw)
         return outcome
 
+    def episode_return(self, total: float) -> None:
+        """Raise SimulatorError for a sum of rewards that nobody would read."""
+        if abs(total) > MAX_REWARD:
+            raise self._refuse(f'gives rewards that add up to {total:g}; accepted: up to '
+                               f'{MAX_REWARD:g}')
+
     def _outcome(self, outcome: Outcome, frames: int, *, draw: bool = True) -> None:
         """Raise SimulatorError unless an outcome is what `Outcome` says."""
         if not isinstance(outcome, Outcome):
             raise self._refuse(f'gives a {type(outcome).__name__}; expected an Outcome')
         if draw:
             self._pixels(outcome.pixels)
-        if not _finite([outcome.reward]):
-            raise self._refuse(f'gives the reward {plain(outcome.reward)}')
+        if not _finite([outcome.reward]) or abs(outcome.reward) > MAX_REWARD:
+            raise self._refuse(f'gives the reward {_shown(outcome.reward)}; accepted: up to '
+                               f'{MAX_REWARD:g}')
+        for what in ('terminated', 'truncated'):
+            if not _finite([getattr(outcome, what)]):
+                raise self._refuse(f'gives {what} {_shown(getattr(outcome, what))}; expected true '
+                                   'or false')
         passed = outcome.frames
         if not isinstance(passed, int) or not 0 <= passed <= frames or passed == 0 < frames:
-            raise self._refuse(f'says that {plain(passed)} frames passed; asked for {frames}')
+            raise self._refuse(f'says that {_shown(passed)} frames passed; asked for {frames}')
         info = outcome.info
-        if tuple(info) == self._names and _finite(info.values()):
+        if isinstance(info, Mapping) and tuple(info) == self._names and _finite(info.values()):
             return
         self._numbers('info', info, (*STEP_CORE, *STEP_INFO))
         if self._names is not None and set(info) != set(self._names):
@@ -127,15 +146,32 @@ class Checks:
         self._shape = pixels.shape
 
     def _numbers(self, what: str, values: Mapping[str, float], taken: tuple[str, ...]) -> None:
+        if not isinstance(values, Mapping):
+            raise self._refuse(f'has as {what} {_shown(values)}; expected names and numbers')
+        if self._constants + len(values) > MOST_VALUES:
+            raise self._refuse(f'has {self._constants + len(values)} values; accepted: up to '
+                               f'{MOST_VALUES}, constants and info together')
         for name, value in values.items():
+            if not isinstance(name, str) or plain(name, MAX_NAME_LENGTH) != name:
+                raise self._refuse(f'has an {what} {_shown(name)!r}; expected a name of up to '
+                                   f'{MAX_NAME_LENGTH} letters')
             if name in taken:
                 raise self._refuse(f'has an {what} {name!r}, which means something else')
             if not _finite([value]):
-                raise self._refuse(f'has {what} {str(name)[:100]!r} {value!r}; expected a number')
+                raise self._refuse(f'has {what} {name!r} {_shown(value)}; expected a number')
 
 
 def _finite(values: Iterable[Any]) -> bool:
     try:
         return all(map(math.isfinite, values))
-    except TypeError:
+    except Exception:
+        # a number of 400 digits is an OverflowError, and an object of somebody's anything
         return False
+
+
+def _shown(value: object) -> str:
+    """Return what was given as a text; Python writes no number of thousands of digits."""
+    try:
+        return plain(value)
+    except Exception:
+        return f'of type {type(value).__name__}'

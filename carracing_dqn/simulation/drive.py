@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from carracing_dqn.simulation.checks import Checks
+from carracing_dqn.simulation.checks import blamed, Checks
 from carracing_dqn.simulation.registry import construct, DEFAULT
 from carracing_dqn.simulation.settings import settings_for, SimulationSettings
 from msgs_bridge.errors import SimulatorError
@@ -115,7 +115,8 @@ class Drive:
         until = time.monotonic() + seconds
         while self._to_skip and time.monotonic() < until:
             count = min(self._to_skip, SKIPPED_AT_ONCE)
-            self.simulator.skip(count, self._stream_seed)
+            with blamed(self.settings.simulator, 'skip'):
+                self.simulator.skip(count, self._stream_seed)
             self._to_skip -= count
             self._stream_seed = None
         return self._to_skip
@@ -165,6 +166,7 @@ class Drive:
         self._frames += outcome.frames
         self._unanswered += applied is None
         self._return += outcome.reward
+        self._checks.episode_return(self._return)
         self.stamp += outcome.frames * self._frame_nanoseconds
         step = self._step(outcome, command, applied)
         self._last = step
@@ -181,8 +183,9 @@ class Drive:
         return {**self._summary(self._last), 'truncated': 1.0}
 
     def close(self) -> None:
-        """Let go of the simulator."""
-        self.simulator.close()
+        """Let go of the simulator; raises SimulatorError where it cannot."""
+        with blamed(self.settings.simulator, 'close'):
+            self.simulator.close()
 
     def _step(self, outcome: Outcome, command: Command, applied: int | None) -> Step:
         step = self._last = Step(

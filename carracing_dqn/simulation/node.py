@@ -24,13 +24,14 @@ import functools
 import time
 
 from carracing_dqn.simulation.drive import Drive, Frame
-from carracing_dqn.simulation.registry import DEFAULT, find_simulator
+from carracing_dqn.simulation.registry import construct, DEFAULT
 from carracing_dqn.simulation.settings import node_settings
 from carracing_dqn.simulation.stepping import Lockstep, RealTime
 from diagnostic_msgs.msg import DiagnosticStatus
 from msgs_bridge import topics
 from msgs_bridge.errors import BridgeError, MessageError
 from msgs_bridge.images import fill_compressed_image, fill_image
+from msgs_bridge.matching import publishers_of
 from msgs_bridge.named_values import fill_named_values
 from msgs_bridge.node_shell import Finished, NodeShell
 from msgs_bridge.stamps import NANOSECONDS, set_stamp, to_nanoseconds
@@ -75,7 +76,7 @@ class SimulatorNode(NodeShell):
         """
         super().__init__(name, functools.partial(node_settings, simulator=simulator))
         settings = self.settings
-        simulator = find_simulator(settings.simulator)(settings)
+        simulator = construct(settings.simulator, settings)
         self.drive = Drive(simulator, settings)
         self._lockstep = settings.stepping == 'lockstep'
         self._stepping = (Lockstep if self._lockstep else RealTime)(self.drive, self)
@@ -249,7 +250,7 @@ class SimulatorNode(NodeShell):
         """Leave /clock to one of several that began at the same time."""
         if self._clock_publisher is None:
             return
-        publishers = self.get_publishers_info_by_topic(topics.CLOCK.name)
+        publishers = publishers_of(self, topics.CLOCK.name)
         first = min(publishers, key=lambda one: list(one.endpoint_gid), default=None)
         ours = (self.get_name(), self.get_namespace())
         if first is not None and (first.node_name, first.node_namespace) != ours:

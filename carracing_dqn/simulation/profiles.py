@@ -109,7 +109,7 @@ def find_profile(name: str, *, shipped_only: bool = False) -> Path | None:
             if path.parent == folder / FOLDER and path.is_file():
                 return path
     if name.endswith(SUFFIX) and not shipped_only:
-        return Path(name).expanduser()
+        return Path(os.path.expanduser(name))
     return None
 
 
@@ -183,8 +183,10 @@ def as_simulator(profile: Profile, path: Path, base: type[Simulator]) -> type[Si
             raise SettingsError(f'{path}: settings: {error}') from None
         fields.append((name, kind, dataclasses.field(
             default=value, metadata={'description': description})))
+    # a name of a file may be no text, that of a class may not
     settings = dataclasses.make_dataclass(
-        f'{base.Settings.__name__}Of{path.stem}', fields, bases=(base.Settings,), frozen=True)
+        f'{base.Settings.__name__}Of{plain(path.stem)}', fields, bases=(base.Settings,),
+        frozen=True)
     return type(base.__name__, (base,), {
         'Settings': settings,
         'deterministic': (base.deterministic if profile.deterministic is None

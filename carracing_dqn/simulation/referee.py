@@ -21,13 +21,15 @@ from carracing_dqn.simulation.referee_settings import PATH, RefereeSettings, TOP
 from msgs_bridge import topics
 from msgs_bridge.errors import MessageError
 from msgs_bridge.stamps import NANOSECONDS
-from msgs_bridge.step import CONTRACT_VERSION, Step
+from msgs_bridge.step import CONTRACT_VERSION, read_step, Step
 from msgs_bridge.twists import Command
 
 # messages of odometry and twists that are kept, and frames that wait to be judged
 KEPT = 1000
 MOST_WAITING = 500
 MOST_POINTS = 100_000
+# of a path: how far away its points may be, and from what length on a piece of it is one; m
+MOST_METRES, LEAST_PIECE = 1e9, 1e-100
 # a path whose ends are no farther apart than so many times its longest piece is closed
 CLOSING_PIECES = 1.5
 # along a path nobody gets farther than so many times the way driven
@@ -97,13 +99,15 @@ class Path:
         Take points (N, 2) in m.
 
         Raises:
-            MessageError: no path: fewer than two points, too many, or not finite.
+            MessageError: no path: fewer than two points, too many, or too far away.
         """
-        if not 2 <= len(points) <= MOST_POINTS or not np.isfinite(points).all():
+        # what is not finite is not within it either
+        if not 2 <= len(points) <= MOST_POINTS or not (np.abs(points) <= MOST_METRES).all():
             raise MessageError(f'path of {len(points)} points; accepted: 2 to {MOST_POINTS}, '
-                               'finite')
+                               f'within {MOST_METRES:g} m')
         lengths = np.hypot(*np.diff(points, axis=0).T)
-        if not lengths.any():
+        # shorter pieces have no square, which is divided by
+        if not (lengths > LEAST_PIECE).any():
             raise MessageError('path whose points are all the same')
         gap = math.hypot(*(points[-1] - points[0]))
         self.closed = bool(gap <= CLOSING_PIECES * lengths.max()) and len(points) > 2
@@ -111,8 +115,8 @@ class Path:
             points = np.vstack([points, points[:1]])
         pieces = np.diff(points, axis=0)
         lengths = np.hypot(*pieces.T)
-        self._starts, self._pieces = points[:-1][lengths > 0], pieces[lengths > 0]
-        self._lengths = lengths[lengths > 0]
+        kept = lengths > LEAST_PIECE
+        self._starts, self._pieces, self._lengths = points[:-1][kept], pieces[kept], lengths[kept]
         self._along = np.concatenate([[0.0], np.cumsum(self._lengths)])
         self.length = float(self._along[-1])
 
@@ -272,9 +276,14 @@ class Referee:
             if (self._running and late < self._settings.twist_patience
                     and not any(heard == self._sight.stamp for heard, _ in self._twists)):
                 break
+            judgement = self._go_on(sight) if self._running else self._begin(sight)
+            if judgement is None:
+                self.missing = self._lacking
+                self._leave_out()
+                continue
             self._waiting.popleft()
             self.missing = {}
-            found.append(self._go_on(sight) if self._running else self._begin(sight))
+            found.append(judgement)
         return found
 
     def _is_between(self, stamp: int) -> bool:
@@ -334,17 +343,20 @@ class Referee:
             self._lacking[ODOM] = 'it begins after the image'
         return None
 
-    def _begin(self, sight: _Sight) -> Judgement:
+    def _begin(self, sight: _Sight) -> Judgement | None:
+        step = Step(0.0, False, False, self.episode + 1, 0, 0.0, -1, None,
+                    self._info(sight, 0, 0.0, 0.0, None, goal=False))
+        if self._nobody_reads(step, sight):
+            return None
         self._running = True
         self._begin_from = None
         self.episode += 1
         self._started, self._unanswered = sight.stamp, 0
-        self._sight = sight
-        self._last = Step(0.0, False, False, self.episode, 0, 0.0, -1, None,
-                          self._info(sight, 0, 0.0, 0.0, None, goal=False))
-        return Judgement(sight.stamp, self._last, self._summary(self._last))
+        self._sight, self._last = sight, step
+        return Judgement(sight.stamp, step, self._summary(step))
 
-    def _go_on(self, sight: _Sight) -> Judgement:
+    def _go_on(self, sight: _Sight) -> Judgement | None:
+        """Return what is said of a frame that follows, None and what is `_lacking` if nothing."""
         settings, before, last = self._settings, self._sight, self._last
         seconds = (sight.stamp - before.stamp) / NANOSECONDS
         ahead = gained = nearer = 0.0
@@ -369,17 +381,35 @@ class Referee:
         truncated = (not terminated and 0 < settings.time_limit
                      <= (sight.stamp - self._started) / NANOSECONDS)
         applied, command = self._applied(before.stamp)
-        self._unanswered += applied is None
-        self._sight = sight
-        self._last = step = Step(
+        step = Step(
             reward, terminated, truncated, self.episode, last.decision + 1,
             last.episode_return + reward, -1, applied,
             self._info(sight, last.decision + 1, ahead, gained, command, goal=goal))
+        if self._nobody_reads(step, sight, ahead, gained, nearer):
+            return None
+        self._unanswered += applied is None
+        self._sight, self._last = sight, step
         if not step.ended:
             return Judgement(sight.stamp, step, None)
         self._running = False
         self._rest_from(sight.stamp)
         return Judgement(sight.stamp, step, self._summary(step))
+
+    def _nobody_reads(
+        self, step: Step, sight: _Sight, ahead: float = 0.0, gained: float = 0.0,
+        nearer: float = 0.0,
+    ) -> bool:
+        """Return whether a step is none that can be sent; `_lacking` has the topic to blame."""
+        try:
+            read_step(step.values())
+        except MessageError as error:
+            lane = THE_PATH if self._settings.lane == PATH else LANE_OFFSET
+            said = ((ODOM, ahead), (THE_PATH, gained), (lane, sight.lane_offset), (GOAL, nearer))
+            _, topic = max((abs(value) if math.isfinite(value) else math.inf, topic)
+                           for topic, value in said)
+            self._lacking = {topic: f'what it says cannot be judged by: {error}'}
+            return True
+        return False
 
     def _applied(self, stamp: int) -> tuple[int | None, Command | None]:
         """Return stamp and command of the twist that was applied since an image."""

@@ -24,9 +24,9 @@ from carracing_dqn.simulation.checks import blamed
 from carracing_dqn.simulation.profiles import (
     as_simulator, find_profile, load_profile, profile_names,
 )
-from msgs_bridge.errors import SimulatorError
+from msgs_bridge.errors import SettingsError, SimulatorError
 from msgs_bridge.plain_text import plain
-from msgs_bridge.settings import from_mapping
+from msgs_bridge.settings import check_value, describe, from_mapping
 from msgs_bridge.simulator import Simulator
 
 SIMULATORS = {
@@ -69,7 +69,7 @@ def find_simulator(name: str, *, registered_only: bool = False) -> type[Simulato
 
     Raises:
         SimulatorError: there is none, or it lacks what a simulator owes.
-        SettingsError: a profile that is none.
+        SettingsError: a profile that is none, or settings that cannot become parameters.
     """
     # the metadata of all packages is only read for names that are not ours
     place = SIMULATORS.get(name)
@@ -90,6 +90,7 @@ def find_simulator(name: str, *, registered_only: bool = False) -> type[Simulato
         raise SimulatorError(
             f'simulator {_shown(name)} is none: {", ".join(missing) or "a class"} is missing; '
             'inherit from msgs_bridge.simulator.Simulator')
+    _check_settings(found.Settings, name)
     return found
 
 
@@ -152,7 +153,7 @@ def _load(place: str, name: str) -> Any:
     module_name, _, path = place.partition(':')
     try:
         found: Any = importlib.import_module(module_name)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         # somebody's file may raise anything when it is read
         raise SimulatorError(f'simulator {_shown(name)}: cannot import {_shown(module_name)}: '
                              f'{type(error).__name__}: {plain(error)}') from None
@@ -162,6 +163,21 @@ def _load(place: str, name: str) -> Any:
                 f'simulator {_shown(name)}: {_shown(module_name)} has no {_shown(path)}')
         found = getattr(found, part)
     return found
+
+
+def _check_settings(settings_class: Any, name: str) -> None:
+    """Raise SettingsError unless a settings class is one whose fields `setting()` has made."""
+    try:
+        for one, (kind, default, description) in describe(settings_class).items():
+            if kind not in (int, float, str, bool):
+                raise SettingsError(f'{one} must be an int, float, str or bool')
+            check_value(one, kind, description, default)
+    except Exception as error:
+        # a class that is no dataclass, a field without a description, a hint that means nothing
+        reason = str(error) if isinstance(error, SettingsError) else repr(error)
+        raise SettingsError(
+            f'simulator {_shown(name)}: Settings is no class of settings ({plain(reason)}); make '
+            'it a frozen dataclass of fields made with msgs_bridge.settings.setting') from None
 
 
 def _shown(text: str) -> str:

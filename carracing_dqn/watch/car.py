@@ -22,6 +22,7 @@ from msgs_bridge.errors import BridgeError
 from msgs_bridge.images import compressed_to_array, image_to_array, MAX_BYTES
 from msgs_bridge.named_values import read_named_values
 from msgs_bridge.picture_parts import resized
+from msgs_bridge.plain_text import plain
 from msgs_bridge.step import (
     EPISODE_CORE, Q_VALUE_AXES, Q_VALUE_EXTRAS, read_step, VALIDATION_FIELDS,
 )
@@ -296,7 +297,7 @@ def _pixels(message: Message) -> tuple[np.ndarray, str]:
     image = decode(message.data, message.type_name, 'image')
     if message.type_name == IMAGE_TYPES[0]:
         return image_to_array(image), image.encoding
-    return compressed_to_array(image), image.format[:40]
+    return compressed_to_array(image), plain(image.format, 40)
 
 
 def _no_larger(pixels: np.ndarray) -> np.ndarray:

@@ -218,7 +218,7 @@ def _colours(state: WatchState, now: float) -> Iterator[Cause]:
             apart, apart_if = (np.abs(one - told).max() for one in (seen, seen[::-1]))
             exchanged = apart_if < apart and apart > COLOUR_TOLERANCE
         said = evidence.encodings[-1] if evidence.encodings else ''
-        forced = str(parameters.get('camera_encoding') or said)
+        forced = plain(parameters.get('camera_encoding') or said)
         read_otherwise = {said, forced} <= ENCODINGS.keys() and (
             ENCODINGS[said].rgb != ENCODINGS[forced].rgb)
         where = policy.name if policy else f'{car.namespace}/image_raw'

@@ -14,7 +14,6 @@ import queue
 import time
 from typing import Any
 
-from bags.graph_names import NamesHidden, topic_names
 from carracing_dqn.watch.car import IMAGE_TYPES, TWIST_TYPES
 from carracing_dqn.watch.commands import calls, COMMANDS
 from carracing_dqn.watch.graph_parts import End, Misfit, TopicEnds
@@ -138,13 +137,10 @@ class LiveSource(ListeningNode):
     def _look_at_graph(self, now: float) -> None:
         node = self._node
         nodes = {f'{space.rstrip("/")}/{name}'
-                 for name, space in node.get_node_names_and_namespaces()
+                 for name, space in matching.nodes_of(node)
                  if not name.startswith('_')} - {self._full_name}
-        try:
-            names = topic_names(node)
-        except NamesHidden as error:
-            names = error.names
-        services = {name for name, _ in node.get_service_names_and_types()}
+        names = matching.as_known(matching.topics_of, node)
+        services = set(matching.as_known(matching.services_of, node))
         found: dict[str, tuple[TopicEnds, list[TopicEndpointInfo]]] = {}
         shown = sorted(name for name in names if name not in LEFT_OUT and not any(
             part.startswith('_') for part in name.split('/')))

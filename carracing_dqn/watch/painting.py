@@ -8,6 +8,7 @@ import math
 from typing import Any
 
 from PIL import Image
+from msgs_bridge.bars import share_between
 import numpy as np
 from rich.color import Color
 from rich.console import Console
@@ -95,11 +96,11 @@ def drive(shown: dict[str, Any]) -> Text:
         text.append('\n' if name in ('return', 'episode', 'linear', 'weights') else '   ')
     actions = now.get('actions', [])
     values = [value for _, value in actions if value is not None]
+    low, high = min(values, default=0.0), max(values, default=0.0)
     for index, (name, value) in enumerate(actions):
         taken = index in now['chosen']
         # the bars show the differences, which are small beside the values
-        spread = (max(values) - min(values)) or 1.0
-        part = 0.0 if value is None else (value - min(values)) / spread
+        part = 0.0 if value is None else share_between(value, low, high)
         text.append(f'{"▶" if taken else " "}{name[:12]:<13}{number(value):>8} ',
                     'bold' if taken else 'dim')
         text.append('█' * max(1, round(part * BAR_WIDTH)), 'green' if taken else 'blue')
@@ -149,18 +150,17 @@ def plots(shown: dict[str, Any], columns: int) -> Text:
 
 def spark(points: Sequence[tuple[float, float]], columns: int, rows: int = 1) -> str:
     """Return (seconds ago, value) as bars in lines of some columns, oldest first."""
-    oldest = max(points[0][0], 1e-9)
+    oldest = points[0][0]
     low, high = min(value for _, value in points), max(value for _, value in points)
     cells: list[float | None] = [None] * columns
     for ago, value in points:
-        cells[min(columns - 1, int((1 - ago / oldest) * columns))] = value
+        cells[min(columns - 1, int((1 - share_between(ago, 0.0, oldest)) * columns))] = value
     known = low
     # heights in eighths of a line, at least one
     heights, most = [], rows * len(BARS)
     for cell in cells:
         known = known if cell is None else cell
-        part = 0.0 if high == low else (known - low) / (high - low)
-        heights.append(1 + min(most - 1, int(part * most)))
+        heights.append(1 + min(most - 1, int(share_between(known, low, high) * most)))
     return '\n'.join(
         ''.join((' ' + BARS)[min(max(height - below, 0), len(BARS))] for height in heights)
         for below in range(most - len(BARS), -1, -len(BARS)))

@@ -7,10 +7,13 @@ from collections import deque
 from collections.abc import Mapping
 import math
 
+from msgs_bridge.plain_text import plain
+
 # what a plot reaches back to, and how near two points of it may be; seconds
 KEPT_SECONDS = 300.0
 LEAST_GAP = 0.25
 MAX_NAMES = 400
+MAX_NAME = 150
 MAX_POINTS = int(KEPT_SECONDS / LEAST_GAP)
 
 
@@ -32,7 +35,8 @@ class SeriesTable:
     def add(self, at: float, values: Mapping[str, float], prefix: str = '') -> None:
         """Keep values of a moment in s; those too soon after the last ones are left out."""
         for name, value in values.items():
-            name = f'{prefix}{name}'
+            # it is shown, and asked for, as it is kept
+            name = plain(f'{prefix}{name}', MAX_NAME)
             points = self._series.get(name)
             if points is None:
                 if len(self._series) >= MAX_NAMES:

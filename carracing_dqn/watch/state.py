@@ -91,7 +91,8 @@ class WatchState:
             for name, ends in topics.items():
                 if name in self.topics:
                     self.topics[name].ends = ends
-                elif len(self.topics) < MAX_TOPICS and len(name) <= MAX_NAME:
+                elif len(self.topics) < MAX_TOPICS and plain(name, MAX_NAME) == name:
+                    # it is shown as it is, and so is the namespace in it; DDS takes any bytes
                     self.topics[name] = Topic(name, ends)
             for name in self.topics.keys() - topics.keys():
                 del self.topics[name]
@@ -335,7 +336,7 @@ def _show_car(car: Car | None, now: float, plots: list[str]) -> dict[str, Any]:
             'angular': None if drive.command is None else _number(drive.command.angular),
             'validation': _number(drive.validation.get('mean')),
             'ended': drive.ended},
-        'series': [plain(name) for name in names],
+        'series': names,
         'plots': {name: [[round(ago, 2), _number(value)] for ago, value in points]
                   for name in wanted[:MAX_PLOTS] if (points := car.series.points(name, now))},
     }
