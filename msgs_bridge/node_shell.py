@@ -178,7 +178,8 @@ class NodeShell(Node):
         subscription = AdaptiveSubscription(
             self, message_class(type_name or topic.type_name), topic.name, checked,
             qos_profile(topic, depth=depth), newest=newest,
-            group=PolledGroup() if polled else None, bell=self._bell if eager else None)
+            group=PolledGroup() if polled else None, bell=self._bell if eager else None,
+            stream=topic in topics.STREAMS)
         self._heard.append((topic.name, subscription))
         if subscription.rings:
             self._eager.append(subscription)

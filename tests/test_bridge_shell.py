@@ -12,7 +12,7 @@ from types import SimpleNamespace
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import Twist
-from msgs_bridge import topics
+from msgs_bridge import adaptive_subscription, topics
 from msgs_bridge.errors import SettingsError
 from msgs_bridge.matching import (
     as_known, NamesHidden, nodes_of, publishers_of, services_of, topics_of,
@@ -212,6 +212,34 @@ def test_a_reader_is_made_anew_when_nothing_comes_after_a_flood(pair):
     finally:
         flood.kill()
         flood.wait()
+
+
+@pytest.mark.parametrize('kind', [Poller, Eager])
+def test_a_stream_that_falls_silent_is_subscribed_anew_and_more_and_more_seldom(
+        pair, monkeypatch, kind):
+    monkeypatch.setattr(adaptive_subscription, 'SILENT_SECONDS', 0.5)
+    node = pair.start(kind)
+    camera = pair.offer(Image, 'image_raw')
+    images = node.images
+    pair.spin_until(lambda: images.matched, 5, 'the camera is found')
+    first = images.subscription
+    pair.spin_until(lambda: len(pair.statuses) > 2, 10, 'some time')
+    # who has said nothing yet is no stream
+    assert images.subscription is first
+    for silences in (1, 2):
+        before = len(node.heard)
+
+        def work(before=before):
+            camera.publish(Image())
+            node.take(images)
+
+        pair.spin_until(lambda before=before: len(node.heard) > before, 10, 'an image', work)
+        heard = time.monotonic()
+        pair.spin_until(lambda wanted=2 * silences: images.counts['renewed'] == wanted, 15,
+                        'two renewals')
+        # half a second, and then twice as long
+        assert time.monotonic() - heard > 1.4
+    assert images.subscription is not first and not images.counts['deaf']
 
 
 @pytest.mark.parametrize('kind', [Poller, Eager])
