@@ -16,6 +16,7 @@ from bags.settings import PlayerSettings, RecorderSettings
 from bags.watched_reader import WatchedReader
 from msgs_bridge.errors import BridgeError
 from msgs_bridge.exit_codes import ERROR, INTERRUPTED
+from msgs_bridge.last_line import say
 from msgs_bridge.plain_text import plain
 from msgs_bridge.settings import describe, parse_text
 
@@ -71,7 +72,7 @@ def main(arguments: argparse.Namespace) -> int:
         return COMMANDS[arguments.bag_command](arguments)
     except (BridgeError, OSError) as error:
         reason = f'{error.filename}: {error.strerror}' if isinstance(error, OSError) else error
-        sys.stderr.write(f'error: {plain(reason, LINE)}\n')
+        say(f'error: {plain(reason, LINE)}')
         return ERROR
     except KeyboardInterrupt:
         return INTERRUPTED

@@ -21,7 +21,6 @@ from std_srvs.srv import SetBool, Trigger
 
 from bags.decode import decode_bundle
 from bags.errors import BagError
-from bags.last_line import say
 from bags.listeners import Listeners
 from bags.live_qos import offer_for
 from bags.lockstep import Answers, Comparison
@@ -33,6 +32,7 @@ from bags.read_ahead import ReadAhead
 from bags.reader import BagReader
 from bags.settings import ALL, names_of, PlayerSettings, resolved_names
 from msgs_bridge.errors import BridgeError
+from msgs_bridge.last_line import say
 from msgs_bridge.message_types import message_class
 from msgs_bridge.node_shell import Finished, NodeShell, run_node
 from msgs_bridge.plain_text import plain

@@ -18,7 +18,6 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from bags.errors import BagError
 from bags.intake import Intake
-from bags.last_line import say
 from bags.live_line import LiveLine
 from bags.live_qos import join_profiles, Kind, kinds_of, recorded_qos, request_for
 from bags.own_memory import let_go_of_freed_memory, resident_bytes
@@ -28,6 +27,7 @@ from bags.recorder_terminal import recorded_text, waits_for
 from bags.recording import Recording
 from bags.settings import ALL, RecorderSettings, resolved_names
 from bags.writer import BagWriter
+from msgs_bridge.last_line import say
 from msgs_bridge.matching import NamesHidden, topics_of
 from msgs_bridge.message_types import message_class
 from msgs_bridge.node_shell import NodeShell, PolledGroup, run_node

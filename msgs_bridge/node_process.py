@@ -19,6 +19,7 @@ from typing import Any
 from msgs_bridge.before_rclpy import before_rclpy
 from msgs_bridge.errors import BridgeError, SettingsError
 from msgs_bridge.exit_codes import READER_GONE
+from msgs_bridge.last_line import say
 from msgs_bridge.log_callers import hide_folders
 from msgs_bridge.plain_text import plain
 from msgs_bridge.settings import text_table
@@ -106,11 +107,11 @@ def run_node(make_node: Callable[[], Any], args: list[str] | None = None) -> int
             finished = _spin_to_the_end(make_node, arguments)
             code = 0 if finished else STARTED.stopped_code
     except BridgeError as error:
-        sys.stderr.write(f'error: {plain(error, MAX_ERROR)}\n')
+        say(f'error: {plain(error, MAX_ERROR)}')
         code = 2
     except rclpy_implementation.RCLError as error:
         # the machine lacks something, threads or memory
-        sys.stderr.write(f'error: ROS cannot go on: {plain(str(error).splitlines()[0], 300)}\n')
+        say(f'error: ROS cannot go on: {plain(str(error).splitlines()[0], 300)}')
         code = 2
     except Exception:  # the process ends here, so this is where it is told
         traceback.print_exc()

@@ -32,6 +32,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from dqn_policy_node.camera import Camera
 from msgs_bridge import topics
 from msgs_bridge.errors import BridgeError
+from msgs_bridge.last_line import say
 from msgs_bridge.matching import as_known, topics_of
 from msgs_bridge.named_values import read_named_values
 from msgs_bridge.node_shell import Finished, NodeShell, run_node
@@ -271,12 +272,12 @@ class TrainerNode(NodeShell):
         self._learning.join()
         training = self._driver.training
         if training.failed:
-            sys.stderr.write(f'kept {training.folder.checkpoint}, of before learning failed\n')
+            say(f'kept {training.folder.checkpoint}, of before learning failed')
             return
         try:
-            sys.stderr.write(f'saved {self._driver.close()}\n')
+            say(f'saved {self._driver.close()}')
         except BridgeError as error:
-            sys.stderr.write(f'error: the run could NOT be saved: {error}\n')
+            say(f'error: the run could NOT be saved: {error}')
 
 
 def main(args: list[str] | None = None) -> int:

@@ -19,6 +19,7 @@ import sys
 
 from msgs_bridge.errors import BridgeError
 from msgs_bridge.exit_codes import ERROR
+from msgs_bridge.last_line import say
 from msgs_bridge.plain_text import plain
 from trainer_node.errors import RunError
 from trainer_node.observation_blocks import is_block
@@ -78,7 +79,7 @@ def main(words: list[str] | None = None) -> int:
     try:
         copy_without_replay(arguments.run, arguments.copy)
     except BridgeError as error:
-        sys.stderr.write(f'error: {plain(error, 1000)}\n')
+        say(f'error: {plain(error, 1000)}')
         return ERROR
     return 0
 

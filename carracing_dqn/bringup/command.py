@@ -14,6 +14,7 @@ from typing import NoReturn
 from msgs_bridge.early_interrupt import ends_when_interrupted
 from msgs_bridge.errors import BridgeError
 from msgs_bridge.exit_codes import ERROR, INTERRUPTED, READER_GONE
+from msgs_bridge.last_line import say
 from msgs_bridge.machine import code_version
 from msgs_bridge.plain_text import plain
 
@@ -89,7 +90,7 @@ def main(words: list[str] | None = None) -> int:
         reason = f'{error.filename}: {cause}' if error.filename else cause
     except MemoryError:
         reason = 'the memory does not suffice'
-    sys.stderr.write(f'error: {plain(reason, MAX_ERROR)}\n')
+    say(f'error: {plain(reason, MAX_ERROR)}')
     return ERROR
 
 

@@ -11,6 +11,7 @@ import sys
 
 from msgs_bridge.early_interrupt import ends_when_interrupted
 from msgs_bridge.exit_codes import ERROR, INTERRUPTED
+from msgs_bridge.last_line import say
 
 FEWEST_FILES = 32
 """Files that a node must be able to have open at once: 26 before its first topic."""
@@ -37,7 +38,7 @@ def _starting(module: str, interrupted: int = 0) -> Callable[[], int]:
             except KeyboardInterrupt:
                 # stopped before it had begun
                 return interrupted
-        sys.stderr.write(f'error: {reason}\n')
+        say(f'error: {reason}')
         return ERROR
 
     return main

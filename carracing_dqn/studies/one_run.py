@@ -27,6 +27,7 @@ from carracing_dqn.studies.one_process import learn
 from carracing_dqn.studies.study_file import BEST, FINAL
 from msgs_bridge.errors import BridgeError
 from msgs_bridge.exit_codes import ERROR, INTERRUPTED
+from msgs_bridge.last_line import say
 from msgs_bridge.machine import describe_machine
 from msgs_bridge.plain_text import plain
 from trainer_node.hyperparameters import Hyperparameters, load_preset
@@ -128,7 +129,7 @@ def main(argv: list[str] | None = None) -> int:
                 range(arguments.test_seed, arguments.test_seed + arguments.laps),
                 arguments.model, stop)
     except (BridgeError, OSError, MemoryError) as error:
-        sys.stderr.write(f'error: {plain(error, 1000) or type(error).__name__}\n')
+        say(f'error: {plain(error, 1000) or type(error).__name__}')
         return ERROR
     return INTERRUPTED if stop() else 0
 
