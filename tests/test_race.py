@@ -236,17 +236,20 @@ def test_a_race_is_driven_recorded_and_counted(graph, monkeypatch, tmp_path):
     out = tmp_path / 'out'
     joy = graph.publisher(topics.JOY)
     graph.listen(topics.EPISODE, topics.STEP)
-    process = start_carracing('race', '--laps', '2', '--seed', '420', '--speed', '10', '--output',
+    process = start_carracing('race', '--laps', '2', '--seed', '420', '--speed', '5', '--output',
                               str(out), '--namespace', graph.namespace)
     try:
         def push():
             # in circles, to the end of the first lap and into the second
             joy.publish(Joy(axes=[0.2, 0.5]))
             graph.spin(0.05)
-            return graph.messages['step'] and graph.messages['step'][-1].position[
-                graph.messages['step'][-1].name.index('episode')] >= 1 and len(
-                graph.messages['step']) > 1100
+            if not graph.messages['step']:
+                return False
+            step = graph.messages['step'][-1]
+            values = dict(zip(step.name, step.position))
+            return values['episode'] >= 1 and values['decision'] > 100
         graph.spin_until(push, 300, 'a lap and a part')
+        # it ends four seconds after its beginning, and is told of once a second
         graph.spin(1.5)
         process.send_signal(signal.SIGINT)
         said = process.communicate(timeout=60)[0]
