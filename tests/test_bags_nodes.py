@@ -445,6 +445,8 @@ def test_what_waits_in_dds_when_a_recorder_is_stopped_is_in_the_bag(graph, tmp_p
     recorder = start_recorder(graph, tmp_path / 'bag')
     publishers = [graph.publisher(topic) for topic in (topics.STEP, topics.CMD_VEL)]
     wait_for(lambda: all(one.get_subscription_count() for one in publishers), 10, 'recorder')
+    # the recorder may find the publishers later than they find it
+    time.sleep(1.0)
     # a machine so busy that the recorder does not get to run at all
     recorder.process.send_signal(signal.SIGSTOP)
     for number in range(1000):
@@ -524,6 +526,8 @@ def test_a_flood_of_large_images_is_bounded_and_counted(graph, tmp_path):
     graph.spin_until(lambda: f'lost_/{graph.namespace}/image_raw' in graph.health(RECORDER[1]), 60,
                      'losses that are counted')
     graph.probe.destroy_publisher(camera)
+    # while its memory is too large a recorder listens anew, also to what it has not heard yet
+    graph.spin(2.5)
     for _ in range(50):
         steps.publish(JointState(name=['value'], position=[1.0]))
         time.sleep(0.01)
