@@ -8,7 +8,7 @@ for (best effort, volatile). A reader of Fast DDS whose messages came faster tha
 may hear nothing more, ever, whatever its depth. A history of hundreds of messages, which keeps
 that from happening with small ones, is gigabytes of large ones. And after another reader of the
 same publisher was killed, or stopped for a moment, one was seen to hear nothing for minutes though
-others did, about once in fifty times (`make faults`: kill, trainer; stop and continue, recorder).
+others did, seven times in some 110 (`make faults`: kill, trainer; stop and continue, recorder).
 """
 from __future__ import annotations
 
