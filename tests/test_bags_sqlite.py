@@ -46,6 +46,15 @@ def changed(file, *commands):
     base.close()
 
 
+def assert_refused(bag, commands, told):
+    """See that a changed database is refused, by its folder and by itself."""
+    folder, file = bag
+    changed(file, *commands)
+    for path in (folder, file):
+        with pytest.raises(BagError, match=told):
+            BagReader(path)
+
+
 def with_metadata(folder, change):
     path = folder / 'metadata.yaml'
     content = yaml.safe_load(path.read_text())
@@ -112,11 +121,7 @@ def test_the_files_of_a_bag_are_read_by_their_times(bag):
     (('DROP TABLE topics',), 'no such column|no such table'),
 ])
 def test_a_database_that_holds_something_else_is_refused(bag, commands, told):
-    folder, file = bag
-    changed(file, *commands)
-    for path in (folder, file):
-        with pytest.raises(BagError, match=told):
-            BagReader(path)
+    assert_refused(bag, commands, told)
 
 
 def test_databases_of_older_versions_lack_columns(bag):
@@ -201,11 +206,7 @@ def test_a_folder_may_have_any_name(bag, name):
      'has the trigger t'),
 ])
 def test_a_database_that_computes_when_it_is_read_is_refused(bag, commands, told):
-    folder, file = bag
-    changed(file, *commands)
-    for path in (folder, file):
-        with pytest.raises(BagError, match=told):
-            BagReader(path)
+    assert_refused(bag, commands, told)
 
 
 def test_a_fifo_is_no_database(bag):

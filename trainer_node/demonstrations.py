@@ -210,9 +210,10 @@ def as_decisions(
         group.append(transition)
         frame = transition.next_stamp - transition.stamp
         beside = transition.next_stamp - group[0].stamp - wanted
-        if not transition.step.ended and beside + frame / 2 < 0:
+        cut_off = transition.step.ended and beside < 0
+        if not cut_off and beside + frame / 2 < 0:
             continue
-        if (-beside if beside < 0 and not transition.step.ended else beside) <= UNEVEN * wanted:
+        if cut_off or abs(beside) <= UNEVEN * wanted:
             even += 1
             yield _joined(group)
         else:
