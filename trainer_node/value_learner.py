@@ -16,6 +16,7 @@ import torch
 from dqn_policy_node.device import choose_device
 from dqn_policy_node.network import QNetwork
 from trainer_node.action_values import action_values
+from trainer_node.denormals import flushed_denormals
 from trainer_node.errors import LearningError
 from trainer_node.hyperparameters import Hyperparameters
 from trainer_node.losses import LOSSES
@@ -134,6 +135,11 @@ class ValueLearner:
         Raises:
             LearningError: the loss is not finite; the weights are as before the update.
         """
+        with flushed_denormals(self.settings.flush_denormals):
+            return self._update(batch, learning_rate)
+
+    def _update(self, batch: Batch, learning_rate: float) -> dict[str, float]:
+        """Make one update, as `update` describes it."""
         loss, td_error, q_mean = self._loss(
             Batch(*(torch.from_numpy(array).to(self.device) for array in batch[:-1]),
                   batch.demonstrated))
