@@ -20,9 +20,9 @@ def test_operations_of_the_nature_network_by_hand():
 def test_the_benchmark_writes_its_figures(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(bench_learner, 'HELD', 100)
     monkeypatch.setattr(bench_learner, 'MATRIX', 64)
-    monkeypatch.setattr(bench_learner, 'stable_baselines', lambda: None)
+    monkeypatch.setattr(bench_learner, 'stable_baselines', lambda decisions: None)
     monkeypatch.setattr(bench_learner, 'nature', lambda bf16: tiny(bf16=bf16))
-    assert main(['--rounds', '1', '--updates', '1', '--calls', '--json', str(
+    assert main(['--rounds', '1', '--updates', '1', '--after', '2', '--calls', '--json', str(
         tmp_path / 'b.json')]) == 0
     figures = json.loads((tmp_path / 'b.json').read_text())
     assert figures['updates_per_second']['racing preset'] > 0

@@ -325,3 +325,20 @@ def test_a_device_that_is_not_there_is_one_line():
     for name in ('abacus', '', 'cuda:63'):
         with pytest.raises(ModelError, match=f"device is '{name}'.*accepted: auto, cpu, cuda"):
             choose_device(name)
+
+
+@pytest.mark.parametrize('flush', [False, True])
+def test_means_of_gradients_of_dead_units_end_at_zero(flush):
+    learner = make_learner(flush_denormals=flush)
+    learner.update(make_batch(), 1e-3)
+    state = learner.state_tensors()
+    name = 'adam.exp_avg.hidden.weight'
+    learner.load_state({**state, name: torch.full_like(state[name], 1e-39)}, 1)
+    with torch.no_grad():
+        # no unit is active, so no weight of theirs has a gradient
+        learner.online.hidden.bias.fill_(-1e6)
+    learner.update(make_batch(), 1e-3)
+    mean = learner.state_tensors()[name]
+    assert bool((mean == 0).all()) == flush
+    # what else this thread computes is as ever, the physics of a simulator for one
+    assert torch.tensor(1e-39) * 0.5 > 0

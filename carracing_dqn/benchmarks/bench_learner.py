@@ -3,16 +3,20 @@
 """
 `carracing bench learner`: updates a second, against Stable-Baselines3's DQN.
 
-Both learn with the same network (Nature: 32@8/4 64@4/2 64@3/1, 512) on the same observations
-(4x84x84), batch 32, one thread, plain DQN with Huber loss, sampling from the replay buffer
-included. They take turns within each round; figures are medians over rounds, ratios are taken
-within a round. The share of the core's matrix rate is the arithmetic of an update against a
-matrix product measured in the same round. `--calls` tells what an update's time goes to.
+Both learn with the same network (Nature: 32@8/4 64@4/2 64@3/1, 512) from the same transitions of
+a car that acts at random (4x84x84), batch 32, one thread, plain DQN with Huber loss, sampling from
+the replay buffer included. They take turns within each round; figures are medians over rounds,
+ratios are taken within a round. A learner that has learned for a while may be slower than a new
+one: `--after` so many updates of each. The share of the core's matrix rate is the arithmetic of an
+update against a matrix product measured in the same round. `--calls` tells what an update's time
+goes to.
 """
 from __future__ import annotations
 
 import argparse
+from collections import deque
 from collections.abc import Callable
+import dataclasses
 import json
 import os
 from pathlib import Path
@@ -25,17 +29,20 @@ import numpy as np
 import torch
 from torch.profiler import profile, ProfilerActivity
 
+from carracing_dqn.simulation import open_drive
 from dqn_policy_node.action_space import action_space, DUMMY_SPACE
 from dqn_policy_node.model_description import ModelDescription
+from dqn_policy_node.preprocessing import Preprocessor
 from msgs_bridge.machine import describe_machine
 from trainer_node.hyperparameters import Hyperparameters, load_preset
 from trainer_node.learner import make_learner
 from trainer_node.replay_buffer import ReplayBuffer
 
 SIDE, STACK, BATCH = 84, 4, 32
-HELD = 5000
+HELD, REPEAT = 3000, 4
 MATRIX = 1024
 SB3 = 'stable-baselines3'
+KEEPING = 'ours bf16, denormals'
 # what PyTorch's operations are for, by the ends of their names, the first that fits
 KINDS = {
     'convolutions backward': ('convolution_backward',),
@@ -51,34 +58,78 @@ OTHER, OUTSIDE = 'other operations', 'outside PyTorch'
 Update = Callable[[], Any]
 
 
+@dataclasses.dataclass(frozen=True)
+class Decision:
+    """
+    What one decision led to.
+
+    Attributes:
+        action: index in `DUMMY_SPACE`.
+        reward: of its frames.
+        pixels: the frame after it, uint8 (96, 96, 3) rgb.
+        first: whether `pixels` begins an episode, and nothing was decided.
+        terminated: whether it ended one for good.
+    """
+
+    action: int
+    reward: float
+    pixels: np.ndarray
+    first: bool
+    terminated: bool
+
+
 def nature(*, bf16: bool) -> Hyperparameters:
     """Return plain DQN on the Nature network."""
     return Hyperparameters(
-        rows=SIDE, columns=SIDE, frame_stack=STACK, action_repeat=4, loss='huber', bf16=bf16,
+        rows=SIDE, columns=SIDE, frame_stack=STACK, action_repeat=REPEAT, loss='huber', bf16=bf16,
         batch_size=BATCH, target_update='updates', target_every=10_000)
 
 
-def ours(settings: Hyperparameters) -> Update:
+def driven(count: int) -> list[Decision]:
+    """Return what a car saw that acts at random for so many decisions in CarRacing."""
+    random = np.random.default_rng(0)
+    drive = open_drive({'seed': 42, 'action_repeat': REPEAT})
+    decisions: list[Decision] = []
+    frame = None
+    try:
+        while len(decisions) < count:
+            if frame is None or frame.step.ended:
+                frame = drive.begin()
+                decisions.append(Decision(0, 0.0, frame.pixels, first=True, terminated=False))
+            action = int(random.integers(len(DUMMY_SPACE)))
+            frame = drive.advance(DUMMY_SPACE.commands[action], frame.stamp)
+            decisions.append(Decision(
+                action, frame.step.reward, frame.pixels, first=False,
+                terminated=frame.step.terminated))
+    finally:
+        drive.close()
+    return decisions
+
+
+def ours(settings: Hyperparameters, decisions: list[Decision]) -> Update:
     """Return a function that samples and makes one update with our learner."""
     torch.manual_seed(0)
     learner = make_learner(settings, 'cpu')
     description = settings.model_description()
     buffer = ReplayBuffer(
-        HELD, description.preprocessing.shape, frame_stack=settings.frame_stack,
+        len(decisions), description.preprocessing.shape, frame_stack=settings.frame_stack,
         n_steps=settings.n_steps, gamma=settings.gamma)
     random = np.random.default_rng(0)
-    for number in range(HELD):
-        observation = random.integers(0, 256, description.preprocessing.shape, np.uint8)
-        if number % 250 == 0:
+    see = Preprocessor(description.preprocessing)
+    # of other spaces the action is another one, which costs the same
+    actions = len(action_space(settings.action_space))
+    for decision in decisions:
+        observation = see(decision.pixels)
+        if decision.first:
             buffer.start(observation)
         else:
-            buffer.add(int(random.integers(len(action_space(settings.action_space)))),
-                       float(random.normal()), observation, terminated=False)
+            buffer.add(decision.action % actions, decision.reward, observation,
+                       terminated=decision.terminated)
     return lambda: learner.update(
         buffer.sample(settings.batch_size, random), settings.learning_rate)
 
 
-def stable_baselines() -> Update | None:
+def stable_baselines(decisions: list[Decision]) -> Update | None:
     """Return one update of Stable-Baselines3's DQN, None if it is not installed."""
     try:
         import gymnasium
@@ -93,15 +144,21 @@ def stable_baselines() -> Update | None:
         observation_space = gymnasium.spaces.Box(0, 255, (STACK, SIDE, SIDE), np.uint8)
         action_space = gymnasium.spaces.Discrete(len(DUMMY_SPACE))
 
-    model = DQN('CnnPolicy', Still(), buffer_size=HELD, batch_size=BATCH, device='cpu', seed=0,
-                target_update_interval=10_000)
+    model = DQN('CnnPolicy', Still(), buffer_size=len(decisions), batch_size=BATCH, device='cpu',
+                seed=0, target_update_interval=10_000)
     model.set_logger(configure(None, []))
-    random = np.random.default_rng(0)
-    shape = (1, STACK, SIDE, SIDE)
-    for _ in range(HELD):
+    see = Preprocessor(nature(bf16=False).model_description().preprocessing)
+    stack: deque[np.ndarray] = deque(maxlen=STACK)
+    for decision in decisions:
+        observation = see(decision.pixels)
+        if decision.first:
+            stack.extend([observation] * STACK)
+            continue
+        before = np.stack(stack)[None]
+        stack.append(observation)
         model.replay_buffer.add(
-            random.integers(0, 256, shape, np.uint8), random.integers(0, 256, shape, np.uint8),
-            random.integers(0, 5, (1, 1)), random.normal(size=1), np.zeros(1), [{}])
+            before, np.stack(stack)[None], np.array([[decision.action]]),
+            np.array([decision.reward]), np.array([decision.terminated]), [{}])
     torch.set_num_threads(1)
     return lambda: model.train(gradient_steps=1, batch_size=BATCH)
 
@@ -166,26 +223,32 @@ def calls(update: Update, count: int) -> dict[str, list[float]]:
     return found
 
 
-def run(*, rounds: int = 5, updates: int = 60, by_call: bool = False) -> dict[str, Any]:
+def run(
+    *, rounds: int = 5, updates: int = 60, after: int = 0, by_call: bool = False,
+) -> dict[str, Any]:
     """
     Measure everything; return JSON values.
 
     Args:
         rounds: rounds in which all take their turn.
         updates: updates of each in a round.
+        after: updates of each before the first round.
         by_call: whether to tell what each one's time goes to, after the rounds.
     """
     torch.set_num_threads(1)
     racing = load_preset('racing')
+    decisions = driven(HELD)
+    keeping = dataclasses.replace(nature(bf16=True), flush_denormals=False)
     contestants = {
-        'ours bf16': ours(nature(bf16=True)),
-        'ours float32': ours(nature(bf16=False)),
-        SB3: stable_baselines(),
-        'racing preset': ours(racing),
+        'ours bf16': ours(nature(bf16=True), decisions),
+        KEEPING: ours(keeping, decisions),
+        'ours float32': ours(nature(bf16=False), decisions),
+        SB3: stable_baselines(decisions),
+        'racing preset': ours(racing, decisions),
     }
     contestants = {name: update for name, update in contestants.items() if update}
     for update in contestants.values():
-        rate(update, 5)
+        rate(update, 5 + after)
     rates: dict[str, list[float]] = {name: [] for name in contestants}
     machine: dict[str, list[float]] = {'float32': [], 'bfloat16': []}
     for _ in range(rounds):
@@ -209,13 +272,13 @@ def run(*, rounds: int = 5, updates: int = 60, by_call: bool = False) -> dict[st
                     rates[name],
                     machine['float32' if name == 'ours float32' else 'bfloat16']))
             for name in operations},
-        'rounds': rounds, 'updates': updates, 'machine': describe_machine(),
+        'rounds': rounds, 'updates': updates, 'after': after, 'machine': describe_machine(),
         'load_average_after': list(os.getloadavg()),
     }
     if SB3 in rates:
         result['times_stable_baselines3'] = {
             name: median(own / theirs for own, theirs in zip(rates[name], rates[SB3]))
-            for name in ('ours bf16', 'ours float32')}
+            for name in rates if name.startswith('ours')}
     if by_call:
         result['calls'] = {name: calls(update, updates) for name, update in contestants.items()}
     return result
@@ -236,13 +299,16 @@ def main(argv: list[str] | None = None) -> int:
         prog='carracing bench learner', description=__doc__.strip().splitlines()[0])
     parser.add_argument('--rounds', type=int, default=5, help='rounds to take the median of')
     parser.add_argument('--updates', type=int, default=60, help='updates of each in a round')
+    parser.add_argument('--after', type=int, default=0,
+                        help='updates of each before the first round')
     parser.add_argument('--calls', action='store_true',
                         help="tell what an update's time goes to, by PyTorch's profiler")
     parser.add_argument('--json', type=Path, help='file to write the figures to')
     args = parser.parse_args(argv)
-    if args.rounds < 1 or args.updates < 1:
-        parser.error('--rounds and --updates must be at least 1')
-    result = run(rounds=args.rounds, updates=args.updates, by_call=args.calls)
+    if args.rounds < 1 or args.updates < 1 or args.after < 0:
+        parser.error('--rounds and --updates must be at least 1, --after at least 0')
+    result = run(
+        rounds=args.rounds, updates=args.updates, after=args.after, by_call=args.calls)
     lines = [f'{"":20}{"updates/s":>12}{"of matrix rate":>16}{"x SB3":>8}']
     for name, value in result['updates_per_second'].items():
         share = result['share_of_matrix_rate'].get(name)
