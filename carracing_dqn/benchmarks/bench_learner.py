@@ -42,7 +42,8 @@ SIDE, STACK, BATCH = 84, 4, 32
 HELD, REPEAT = 3000, 4
 MATRIX = 1024
 SB3 = 'stable-baselines3'
-KEEPING = 'ours bf16, denormals'
+# with what `flush_denormals` is against
+KEEPING = ', denormals'
 # what PyTorch's operations are for, by the ends of their names, the first that fits
 KINDS = {
     'convolutions backward': ('convolution_backward',),
@@ -238,13 +239,14 @@ def run(
     torch.set_num_threads(1)
     racing = load_preset('racing')
     decisions = driven(HELD)
-    keeping = dataclasses.replace(nature(bf16=True), flush_denormals=False)
+    presets = {
+        'ours bf16': nature(bf16=True), 'ours float32': nature(bf16=False),
+        'racing preset': racing}
+    presets |= {name + KEEPING: dataclasses.replace(preset, flush_denormals=False)
+                for name, preset in presets.items()}
     contestants = {
-        'ours bf16': ours(nature(bf16=True), decisions),
-        KEEPING: ours(keeping, decisions),
-        'ours float32': ours(nature(bf16=False), decisions),
+        **{name: ours(preset, decisions) for name, preset in sorted(presets.items())},
         SB3: stable_baselines(decisions),
-        'racing preset': ours(racing, decisions),
     }
     contestants = {name: update for name, update in contestants.items() if update}
     for update in contestants.values():
@@ -280,7 +282,8 @@ def run(
             name: median(own / theirs for own, theirs in zip(rates[name], rates[SB3]))
             for name in rates if name.startswith('ours')}
     if by_call:
-        result['calls'] = {name: calls(update, updates) for name, update in contestants.items()}
+        result['calls'] = {name: calls(update, updates) for name, update in contestants.items()
+                           if KEEPING not in name}
     return result
 
 
@@ -309,11 +312,11 @@ def main(argv: list[str] | None = None) -> int:
         parser.error('--rounds and --updates must be at least 1, --after at least 0')
     result = run(
         rounds=args.rounds, updates=args.updates, after=args.after, by_call=args.calls)
-    lines = [f'{"":20}{"updates/s":>12}{"of matrix rate":>16}{"x SB3":>8}']
+    lines = [f'{"":26}{"updates/s":>12}{"of matrix rate":>16}{"x SB3":>8}']
     for name, value in result['updates_per_second'].items():
         share = result['share_of_matrix_rate'].get(name)
         times = result.get('times_stable_baselines3', {}).get(name)
-        lines.append(f'{name:20}{value:12.1f}{f"{share:.0%}" if share else "":>16}'
+        lines.append(f'{name:26}{value:12.1f}{f"{share:.0%}" if share else "":>16}'
                      f'{f"{times:.2f}" if times else "":>8}')
     if SB3 not in result['updates_per_second']:
         lines.append(f'{SB3} is not installed, so its row is missing: pip install {SB3}')
