@@ -71,7 +71,10 @@ def main(arguments: argparse.Namespace) -> int:
     try:
         return COMMANDS[arguments.bag_command](arguments)
     except (BridgeError, OSError) as error:
-        reason = f'{error.filename}: {error.strerror}' if isinstance(error, OSError) else error
+        reason = error
+        if isinstance(error, OSError):
+            # a stream that cannot be written has no name
+            reason = ': '.join(filter(None, (error.filename, error.strerror)))
         say(f'error: {plain(reason, LINE)}')
         return ERROR
     except KeyboardInterrupt:

@@ -11,7 +11,7 @@ import zlib
 from mcap.opcode import Opcode
 
 from bags.errors import BagError
-from bags.mcap_file import McapFile, RawMessage, Span
+from bags.mcap_file import McapFile, Span, SpanMessages
 from bags.mcap_records import FOOTER_BYTES, HEAD, LIBRARY, MAGIC, MESSAGE_HEAD
 from bags.metadata import BagMetadata, metadata_from_text, ROOT
 from bags.reader import BagReader
@@ -24,7 +24,7 @@ MAX_NAMED = 20
 
 def structure_problems(reader: BagReader) -> list[str]:
     """Return what is wrong with the files of a bag, each a sentence; empty if nothing is."""
-    problems = list(reader.problems)
+    problems = [*reader.problems, *reader.database_damage()]
     for file in reader.mcap_files:
         found = _Checker(file).problems()
         problems += [f'{file.path.name}: {problem}' for problem in found[:MAX_NAMED]]
@@ -37,6 +37,8 @@ def structure_problems(reader: BagReader) -> list[str]:
 def order_notes(reader: BagReader) -> list[str]:
     """Return what is unusual about the order of messages, each a sentence."""
     notes = []
+    if reader.storage == 'sqlite3':
+        notes.append('sqlite3 keeps no CRCs: what was changed within a message is not seen')
     for file in reader.mcap_files:
         back, last = 0, 0
         for span in file.spans:
@@ -61,10 +63,10 @@ class _Checker:
             found.append('the CRC of the data section is wrong')
         start, end = file.summary
         if end:
-            told = int.from_bytes(file.raw(end - 4, end), 'little')
+            told = int.from_bytes(file.read(end - 4, end), 'little')
             if told and self._crc(start, end - 4) != told:
                 found.append('the CRC of the summary is wrong')
-            footer = file.raw(end - FOOTER_BYTES + HEAD.size, end)
+            footer = file.read(end - FOOTER_BYTES + HEAD.size, end)
             named = int.from_bytes(footer[:8], 'little')
             if named not in (0, start):
                 found.append(f'the footer puts the summary at byte {named}; it is at {start}')
@@ -75,7 +77,7 @@ class _Checker:
     def _crc(self, start: int, stop: int) -> int:
         crc = 0
         for begin in range(start, stop, PIECE):
-            crc = zlib.crc32(self._file.raw(begin, min(begin + PIECE, stop)), crc)
+            crc = zlib.crc32(self._file.read(begin, min(begin + PIECE, stop)), crc)
         return crc
 
     def _span_problems(self) -> list[str]:
@@ -98,15 +100,16 @@ class _Checker:
                     found.append(f'the summary says {told} messages of {name}, {there} are there')
         return found
 
-    def _chunk_problems(self, span: Span, messages: list[RawMessage]) -> list[str]:
+    def _chunk_problems(self, span: Span, messages: SpanMessages) -> list[str]:
         if not messages:
             return []
         found = []
-        times = [message.log_time for message in messages]
-        if (span.start_time, span.end_time) != (min(times), max(times)):
+        if (span.start_time, span.end_time) != (min(messages.times), max(messages.times)):
             found.append('it says another time than its messages')
         index = self._index_after(span)
-        if index and index != self._index_of(span):
+        expected = self._index_of(span)
+        # some writers sort it by time
+        if index and index != expected and _sorted(index) != _sorted(expected):
             found.append('its message index does not fit its messages')
         return found
 
@@ -116,11 +119,11 @@ class _Checker:
         position = span.offset + span.length
         index = {}
         while position + HEAD.size <= file.size:
-            opcode, length = HEAD.unpack(file.raw(position, position + HEAD.size))
+            opcode, length = HEAD.unpack(file.read(position, position + HEAD.size))
             if opcode != Opcode.MESSAGE_INDEX or length < 6:
                 break
             start = position + HEAD.size
-            content = file.raw(start, start + length)
+            content = file.read(start, start + length)
             index[int.from_bytes(content[:2], 'little')] = bytes(content[6:])
             position = start + length
         return index
@@ -142,12 +145,22 @@ class _Checker:
         return {channel: values.tobytes() for channel, values in entries.items()}
 
 
+def _sorted(index: dict[int, bytes]) -> dict[int, list[bytes]]:
+    """Return the entries of an index in one order, without the channels that have none."""
+    return {channel: sorted(content[place:place + 16] for place in range(0, len(content), 16))
+            for channel, content in index.items() if content}
+
+
 def _metadata_problems(reader: BagReader) -> list[str]:
     """Compare `metadata.yaml` with the copy in the last file; only ours holds the same."""
-    files = reader.mcap_files
-    if reader.metadata is None or not files or files[-1].library != LIBRARY:
+    if reader.metadata is None:
         return []
-    text = files[-1].metadata.get('rosbag2', {}).get('serialized_metadata', '')
+    # not the last by time, for that may have been set back
+    last = [file for file in reader.mcap_files
+            if file.path.name == reader.metadata.files[-1].path]
+    if not last or last[0].library != LIBRARY:
+        return []
+    text = last[0].metadata.get('rosbag2', {}).get('serialized_metadata', '')
     try:
         body = load_yaml(text, 'the rosbag2 record', BagError)
         copy = metadata_from_text(dump_yaml({ROOT: body}), 'the rosbag2 record')

@@ -3,15 +3,18 @@
 """
 One MCAP file, read with bounds: nothing is believed that the file says of its own sizes.
 
-The file is mapped into memory; messages are views into the map, or into an unpacked chunk.
+The file is mapped into memory to find its way about in it. Messages are read, chunk by chunk: who
+reads a map of a file that somebody cuts short meanwhile is killed.
 """
 from __future__ import annotations
 
-from collections.abc import Container, Iterator
+from array import array
+from collections.abc import Container, Iterator, Sequence
 import contextlib
 import dataclasses
 import heapq
 import mmap
+import os
 from pathlib import Path
 import resource
 import stat
@@ -20,11 +23,12 @@ import zlib
 
 from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
+import numpy as np
 
 from bags.compression import unpack
 from bags.errors import BagError
 from bags.mcap_records import (
-    CHUNK, HEAD, MAGIC, MAX_CHUNK, MESSAGE, parse_record, PROFILE,
+    CHUNK, HEAD, MAGIC, MAX_CHUNK, MESSAGE, MESSAGE_HEAD, parse_record, PROFILE,
 )
 
 # Chunks that overlap in time are merged; more than this unpacked at once is refused.
@@ -46,6 +50,38 @@ class RawMessage(NamedTuple):
     publish_time: int
     channel: int
     data: memoryview
+
+
+class SpanMessages(Sequence[RawMessage]):
+    """
+    Messages of a span, each made when it is asked for.
+
+    A chunk may hold a message in every 31 bytes, and an object of Python for each of them would be
+    ten times its size.
+    """
+
+    def __init__(self, data: memoryview, places: array, times: array) -> None:
+        """Take the unpacked span, and where in it messages begin with their log times in ns."""
+        self._data, self._places, self.times = data, places, times
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def __getitem__(self, number: int) -> RawMessage:
+        data, place = self._data, self._places[number]
+        _, length, channel, _, log_time, publish_time = MESSAGE_HEAD.unpack_from(data, place)
+        return RawMessage(log_time, publish_time, channel,
+                          data[place + MESSAGE_HEAD.size:place + HEAD.size + length])
+
+    def between(self, start: int, stop: int) -> Iterator[RawMessage]:
+        """Yield those of `start` <= log time < `stop` by log time."""
+        times = np.frombuffer(self.times, np.uint64)
+        order = range(len(times))
+        if len(times) > 1 and (times[1:] < times[:-1]).any():
+            order = np.argsort(times, kind='stable')
+        for number in order:
+            if start <= self.times[number] < stop:
+                yield self[number]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -121,10 +157,10 @@ class McapFile:
             # opening a FIFO would wait for somebody to write into it
             if not stat.S_ISREG(self.path.stat().st_mode):
                 raise BagError(f'{path} is not a regular file')
-            with self.path.open('rb') as file:
-                self.size = file.seek(0, 2)
-                if self.size:
-                    self._map = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+            self._file = self.path.open('rb', buffering=0)
+            self.size = self._file.seek(0, 2)
+            if self.size:
+                self._map = mmap.mmap(self._file.fileno(), 0, access=mmap.ACCESS_READ)
         except OSError as error:
             raise BagError(f'{path}: {error.strerror}') from None
         self._view = memoryview(self._map or b'')
@@ -139,12 +175,13 @@ class McapFile:
 
     def close(self) -> None:
         """Let go of the file."""
+        self._file.close()
         self._view.release()
         if self._map is not None:
             try:
                 self._map.close()
             except BufferError:
-                # a message is still in use; the map goes when the last one does
+                # a view is still in use; the map goes when the last one does
                 self._map = None
 
     def __enter__(self) -> McapFile:
@@ -154,8 +191,26 @@ class McapFile:
         self.close()
 
     def raw(self, start: int, stop: int) -> memoryview:
-        """Return bytes of the file as they are."""
+        """Return bytes of the map, for who looks through all of it."""
         return self._view[start:stop]
+
+    def read(self, start: int, stop: int) -> bytes:
+        """
+        Return bytes of the file as they are now.
+
+        Raises:
+            BagError: it has been cut short, or the disk fails.
+        """
+        try:
+            parts, there = [], min(stop, self.size)
+            while start < there and (part := os.pread(self._file.fileno(), there - start, start)):
+                parts.append(part)
+                start += len(part)
+        except OSError as error:
+            raise BagError(f'{self.path}: {error.strerror}') from None
+        if start < stop:
+            raise BagError(f'{self.path} was cut short meanwhile')
+        return parts[0] if len(parts) == 1 else b''.join(parts)
 
     def span_bytes(self, span: Span, *, check: bool = True) -> memoryview:
         """
@@ -164,7 +219,7 @@ class McapFile:
         Raises:
             BagError: it does not unpack, or its CRC is wrong.
         """
-        packed = self._view[span.offset:span.offset + span.length]
+        packed = self.read(span.offset, span.offset + span.length)
         try:
             unpacked = unpack(span.compression, packed, span.unpacked_size)
         except BagError as error:
@@ -175,7 +230,7 @@ class McapFile:
 
     def span_messages(
         self, span: Span, channels: Container[int] | None = None, *, check: bool = True,
-    ) -> list[RawMessage]:
+    ) -> SpanMessages:
         """
         Return the messages of a span in the order of the file.
 
@@ -185,8 +240,7 @@ class McapFile:
             BagError: it is damaged.
         """
         data = self.span_bytes(span, check=check)
-        messages = []
-        add = messages.append
+        places, times = array('Q'), array('Q')
         position, end = 0, len(data)
         head, head_size = HEAD.unpack_from, HEAD.size
         message_head, message_size = MESSAGE.unpack_from, MESSAGE.size
@@ -195,19 +249,19 @@ class McapFile:
             if start > end:
                 raise self._damaged(span, 'a record is cut off')
             opcode, length = head(data, position)
-            position = start + length
-            if position > end:
+            if start + length > end:
                 raise self._damaged(span, f'a record of {length} bytes reaches beyond it')
             if opcode == 5:
                 if length < message_size:
                     raise self._damaged(span, f'a message of {length} bytes')
-                channel, _, log_time, publish_time = message_head(data, start)
+                channel, _, log_time, _ = message_head(data, start)
                 if channels is None or channel in channels:
-                    add(RawMessage(
-                        log_time, publish_time, channel, data[start + message_size:position]))
+                    places.append(position)
+                    times.append(log_time)
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                self._learn(opcode, data[start:position])
-        return messages
+                self._learn(opcode, data[start:start + length])
+            position = start + length
+        return SpanMessages(data, places, times)
 
     def filled_spans(self) -> list[Span]:
         """Return the spans that hold messages; a chunk without any says 0 for both times."""
@@ -237,10 +291,14 @@ class McapFile:
             if sum(held.values()) > MAX_UNPACKED:
                 raise BagError(f'{self.path}: chunks of more than {MAX_UNPACKED} bytes '
                                'overlap in time')
-            inside = [message for message in self.span_messages(span, channels)
-                      if start <= message.log_time < stop]
-            inside.sort(key=_log_time)
-            following = iter(inside)
+            inside = self.span_messages(span, channels)
+            if len(inside) and not (
+                    span.start_time <= min(inside.times)
+                    and max(inside.times) <= span.end_time):
+                # messages would be left out, or come before those of another chunk
+                raise self._damaged(span, 'it says another time than its messages; `carracing bag '
+                                          'recover` writes it anew')
+            following = inside.between(start, stop)
             first = next(following, None)
             if first is None:
                 del held[number]
@@ -417,13 +475,11 @@ class McapFile:
 
 
 def make_room(files: int) -> None:
-    """Let the process have so many files open, as far as it may: a map keeps its descriptor."""
+    """Let the process have so many files open, as far as it may."""
+    # a map has one of its own
+    files *= 2
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     # a few files need no more than there is
     if files > soft // 2:
         wanted = soft + files if hard == resource.RLIM_INFINITY else min(soft + files, hard)
         resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
-
-
-def _log_time(message: RawMessage) -> int:
-    return message.log_time

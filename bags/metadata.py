@@ -167,6 +167,9 @@ def _from_body(body: dict[str, Any], what: str) -> BagMetadata:
     duration = _number(body['duration']['nanoseconds'], 'duration', what)
     message_count = _number(body['message_count'], 'message_count', what)
     names = [_file_name(path, what) for path in body['relative_file_paths']]
+    if len(set(names)) < len(names):
+        # each of its messages would be there twice
+        raise BagError(f'{what} names a file twice')
     described = {}
     for file in body.get('files') or ():
         name = _file_name(file['path'], what)
@@ -186,7 +189,7 @@ def _from_body(body: dict[str, Any], what: str) -> BagMetadata:
         files=files,
         compression_format=str(body.get('compression_format') or ''),
         compression_mode=_compression_mode(body.get('compression_mode')),
-        custom_data={str(key): str(value) for key, value in custom_data.items()},
+        custom_data={_text(key, what): _text(value, what) for key, value in custom_data.items()},
         ros_distro=str(body.get('ros_distro') or ''),
         version=version)
 
@@ -200,6 +203,15 @@ def _topic(entry: dict[str, Any], what: str) -> TopicMetadata:
         qos=qos_from_text(qos) if isinstance(qos, str) else normalize_qos(qos),
         type_hash=str(topic.get('type_description_hash') or ''),
         message_count=_number(entry['message_count'], 'message_count', what))
+
+
+def _text(value: Any, what: str) -> str:
+    text = str(value)
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        raise BagError(f'{what} holds half a surrogate pair, which is no text') from None
+    return text
 
 
 def _compression_mode(value: Any) -> str:

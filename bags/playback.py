@@ -15,6 +15,8 @@ from bags.messages import BagMessage
 NANOSECONDS = 1e9
 # A sleep wakes some 60 us late; a wait that can be interrupted some 100 us later still.
 LAST_SLEEP = 0.002
+# seconds; a lock takes no more than some 300 years
+LONGEST_WAIT = 3600.0
 # what a person chooses from: speeds, and by how much of the bag to go back or on
 RATES = (0.1, 0.25, 0.5, 1.0, 2.0, 5.0, 20.0)
 SKIP_SECONDS = 5.0
@@ -31,6 +33,8 @@ class Playback:
         late: seconds from due to published, of the newest messages that were paced.
         latest: the most it ever was.
         now: time of the bag in ns.
+        due: wall time, as `time.monotonic` has it, at which the next message is due; None if it
+            does not wait for it.
     """
 
     def __init__(
@@ -56,9 +60,11 @@ class Playback:
         self.late: deque[float] = deque(maxlen=LATE_KEPT)
         self.latest = 0.0
         self.now = 0
+        self.due: float | None = None
         self._publish = publish
         self._publish_clock = publish_clock if clock_rate > 0 else None
-        self._clock_seconds = 1 / clock_rate if clock_rate > 0 else 3600.0
+        self._clock_seconds = 1 / clock_rate if clock_rate > 0 else LONGEST_WAIT
+        self._wait_seconds = min(self._clock_seconds, LONGEST_WAIT)
         self._rate = rate
         self._paused = paused
         self._held = False
@@ -167,13 +173,14 @@ class Playback:
         """Wait until a message is due; return the wall time it was due at, None if unpaced."""
         while True:
             with self._change:
+                self.due = None
                 if self._stopped or self._wound_to is not None:
                     return None
                 if self._paused or self._held:
                     if self._steps and not self._held:
                         self._steps -= 1
                         return None
-                    self._change.wait(self._clock_seconds)
+                    self._change.wait(self._wait_seconds)
                     self._tick(self.now)
                     continue
                 if self._rate == 0:
@@ -186,8 +193,10 @@ class Playback:
                 due = wall + (log_time - bag) / NANOSECONDS / self._rate
                 rest = due - time.monotonic()
                 if rest > LAST_SLEEP:
-                    self._change.wait(min(rest - LAST_SLEEP / 2, self._clock_seconds))
-                    self._tick(self._time_at(time.monotonic()))
+                    self.due = due
+                    self._change.wait(min(rest - LAST_SLEEP / 2, self._wait_seconds))
+                    # a busy machine wakes late, but a clock that is ahead would have to go back
+                    self._tick(min(self._time_at(time.monotonic()), log_time))
                     continue
             if rest > 0:
                 time.sleep(rest)

@@ -30,13 +30,13 @@ from bags.playback import Playback
 from bags.player_terminal import PlayerTerminal
 from bags.read_ahead import ReadAhead
 from bags.reader import BagReader
-from bags.settings import ALL, names_of, PlayerSettings, resolved_names
+from bags.settings import ALL, chosen_names, names_of, PlayerSettings
 from msgs_bridge.errors import BridgeError
 from msgs_bridge.last_line import say
 from msgs_bridge.message_types import message_class
 from msgs_bridge.node_shell import Finished, NodeShell, run_node
 from msgs_bridge.plain_text import plain
-from msgs_bridge.stamps import set_stamp
+from msgs_bridge.stamps import NANOSECONDS, set_stamp
 from msgs_bridge.topics import CLOCK, CMD_VEL, IMAGE, Q_VALUES, TOPICS
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks
@@ -59,11 +59,15 @@ CONFIRM_PART, CONFIRM_SECONDS = 2, Duration(seconds=1)
 LOOK_SECONDS = 0.02
 # Q-values of who drives that may wait to be compared
 COMPARED_DEPTH = 500
+# of a longer silence than so many seconds it is said that it comes
+GAP_SECONDS = 60.0
 # how often it is looked who listens
 LISTENERS_SECONDS = 0.5
 # what DDS may need to find a subscription once its publisher was found
 MUTUAL_SECONDS = 0.5
 SWITCH_SECONDS = 0.0002
+# the first time in ns that a message of a clock, which counts seconds in 32 bits, cannot say
+CLOCK_END = 2 ** 31 * NANOSECONDS
 # messages that the diagnostics judge the timing by
 RECENT = 1000
 # more topics than this no graph has
@@ -113,6 +117,11 @@ class BagPlayerNode(NodeShell):
         if not settings.bag:
             raise BagError('no bag was given; set the parameter `bag`')
         self._reader = BagReader(settings.bag)
+        if settings.clock_rate > 0 and self._reader.end_time >= CLOCK_END:
+            # rclpy would cut off the upper bits without a word
+            raise BagError(f'{settings.bag} has times of {self._reader.end_time / 1e9:.0f} s; '
+                           f'{CLOCK.name} can say {CLOCK_END / 1e9:.0f} s at most: play it '
+                           'without clock_rate')
         self._remaps = parse_remaps(settings.remaps)
         for name in self._remaps:
             self._must_have(name)
@@ -137,6 +146,7 @@ class BagPlayerNode(NodeShell):
         self._error: BaseException | None = None
         self._done = threading.Event()
         self._closed = False
+        self._gap_said = 0.0
         self._ahead: ReadAhead | None = None
         self.create_service(SetBool, '~/pause', self._on_pause)
         self.serve_hold(lambda: self._playback.hold(self.held_back))
@@ -214,7 +224,7 @@ class BagPlayerNode(NodeShell):
         if settings.topics.strip() == ALL:
             chosen = list(self._reader.topics)
         else:
-            chosen = resolved_names(settings.topics, self.resolve_topic_name)
+            chosen = chosen_names(settings.topics, self.resolve_topic_name)
             for name in chosen:
                 self._must_have(name)
         if len(chosen) > MOST_TOPICS:
@@ -335,11 +345,23 @@ class BagPlayerNode(NodeShell):
     def _look(self) -> None:
         """Show where it is, and end the node when everything has been played."""
         self._terminal.beat()
+        self._say_gap()
         if self._done.is_set():
             if self._error is not None:
                 raise self._error
             self._listeners.look()
             raise Finished
+
+    def _say_gap(self) -> None:
+        """Say that nothing comes for long: a clock may have been set while it was recorded."""
+        due = self._playback.due
+        rest = 0.0 if due is None else due - time.monotonic()
+        if rest > GAP_SECONDS and due != self._gap_said:
+            self._gap_said = due
+            place = (self._playback.now - self._start) / NANOSECONDS
+            self.get_logger().warn(
+                f'no message for {rest:.0f} s: the bag is at {place:.1f} s and goes on at about '
+                f'{place + rest * self._playback.rate:.0f} s, where start_offset may begin')
 
     def _publish(self, message: BagMessage) -> None:
         data = bytes(message.data)

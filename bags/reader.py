@@ -69,6 +69,10 @@ class BagReader:
             return self.metadata.custom_data
         return dict(self._storage.provenance)
 
+    def database_damage(self) -> list[str]:
+        """Read all of a sqlite3 bag; return what is wrong, each a sentence; none of MCAP."""
+        return self._storage.damage() if isinstance(self._storage, SqliteStorage) else []
+
     @property
     def mcap_files(self) -> list[McapFile]:
         """Return the open MCAP files, none for sqlite3."""
@@ -248,6 +252,9 @@ class McapStorage:
             if known.type_name != type_name:
                 raise BagError(f'{file.path}: {channel.topic} is of type {type_name} and of type '
                                f'{known.type_name}')
+            if known.encoding != topic.encoding:
+                raise BagError(f'{file.path}: {channel.topic} is encoded as {topic.encoding} and '
+                               f'as {known.encoding}')
             known.message_count += topic.message_count
 
 

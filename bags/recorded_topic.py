@@ -32,6 +32,8 @@ class RecordedTopic:
         first: whether we subscribed before anybody published, so that even number 1 should come.
         largest: bytes of the largest message seen.
         sequence: number of the newest message; 0 when it is not known.
+        unsure: whether more may be lost than is counted: it was listened to anew while no number
+            told what would come next.
         lost_on_the_way: messages that DDS has not brought.
         did_not_fit: messages that came while the cache was full, or too large for a bag; a
             backlog that was dropped unseen counts as one.
@@ -55,11 +57,13 @@ class RecordedTopic:
         self.first = False
         self.largest = 0
         self.sequence = 0
+        self.unsure = False
         self.lost_on_the_way = 0
         self.did_not_fit = 0
         # marks of what came last, for the moment when a second subscription brings it again
         self._marks: deque[tuple[int, int]] = deque(maxlen=depth)
         self._seen: set[tuple[int, int]] | None = None
+        self._renewed = False
 
     @property
     def lost(self) -> int:
@@ -86,10 +90,17 @@ class RecordedTopic:
         # what a publisher sent before it could be heard is not lost
         self.first = False
 
+    def listen_anew(self, ears: dict[Kind, Subscription]) -> None:
+        """Go on with these subscriptions in place of those that were ended with what they held."""
+        self.ears = ears
+        self._renewed = True
+        self.unsure |= not (self.countable and (self.sequence or self.first))
+
     def is_repeat(self, sent: int, sequence: int) -> bool:
         """Return whether another subscription has brought a message already; remember it."""
         mark = (sent, sequence)
-        if len(self.ears) + len(self.retired) < 2:
+        # who publishes latched messages sends them again to a subscription that is new
+        if len(self.ears) + len(self.retired) < 2 and not self._renewed:
             self._seen = None
         elif self._seen is None:
             self._seen = set(self._marks)

@@ -25,7 +25,7 @@ from bags.provenance import parse_provenance
 from bags.recorded_topic import RecordedTopic
 from bags.recorder_terminal import recorded_text, waits_for
 from bags.recording import Recording
-from bags.settings import ALL, RecorderSettings, resolved_names
+from bags.settings import ALL, chosen_names, RecorderSettings, resolved_names
 from bags.writer import BagWriter
 from msgs_bridge.last_line import say
 from msgs_bridge.matching import NamesHidden, topics_of
@@ -96,7 +96,7 @@ class BagRecorderNode(NodeShell):
         settings = self.settings
         self._wanted = (
             None if settings.topics.strip() == ALL
-            else set(resolved_names(settings.topics, self.resolve_topic_name)))
+            else set(chosen_names(settings.topics, self.resolve_topic_name)))
         self._excluded = set(resolved_names(settings.exclude, self.resolve_topic_name))
         folder = settings.folder or time.strftime('bag_%Y_%m_%d-%H_%M_%S')
         provenance = parse_provenance(settings.provenance)
@@ -180,6 +180,10 @@ class BagRecorderNode(NodeShell):
         loss = ', '.join(f'{count} of {topic}' for topic, count in lost.items()) or 'none'
         if not settled:
             loss += ' known, but messages were still arriving late'
+        unsure = sorted(topic.name for topic in self._intake.topics.values() if topic.unsure)
+        if unsure:
+            loss += (f'; nobody could count what was lost of {plain(", ".join(unsure), 300)} when '
+                     'memory was full')
         say(f'{self._writer.message_count} messages in {self._writer.folder}; lost: {loss}')
 
     def _waiting(self) -> str:
@@ -397,7 +401,7 @@ class BagRecorderNode(NodeShell):
             for ear in (*topic.ears.values(), *topic.retired):
                 self.destroy_subscription(ear)
             topic.retired.clear()
-            topic.ears = {kind: self._subscription(topic, kind) for kind in topic.ears}
+            topic.listen_anew({kind: self._subscription(topic, kind) for kind in topic.ears})
 
     def _say_losses(self) -> None:
         now = time.monotonic()

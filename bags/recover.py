@@ -18,6 +18,9 @@ from bags.salvage import open_damaged
 from bags.schemas import Schema
 from bags.writer import BagWriter, PROVENANCE_RECORD, ROSBAG2_RECORD
 
+# what one topic is written as: a definition may have changed from one file to the next
+Topics = dict[tuple[str, Schema, str], int]
+
 
 @dataclasses.dataclass
 class Recovery:
@@ -48,7 +51,8 @@ def recover_bag(source: Path | str, target: Path | str) -> Recovery:
         target: new folder.
 
     Raises:
-        BagError: nothing can be read of the source, or the target exists.
+        BagError: nothing can be read of the source, or the target exists or cannot be written;
+            what was begun of it is removed then, as after Ctrl-C.
     """
     source = Path(source)
     if not source.exists():
@@ -82,7 +86,10 @@ def recover_bag(source: Path | str, target: Path | str) -> Recovery:
             else:
                 recovery.remarks.append(f'there was no {FILE_NAME}')
             recovery.remarks += _missing(paths, told)
-        _copy(files, told, Path(target), recovery)
+        try:
+            _copy(files, told, Path(target), recovery)
+        except OSError as error:
+            raise BagError(f'{target}: {error.strerror}; nothing was kept of it') from None
     finally:
         for file in files:
             file.close()
@@ -127,7 +134,7 @@ def _copy(
         target, compression=names.get(compression, 'zstd'),
         custom_data=_custom_data(files, told),
     ) as writer:
-        topics: dict[tuple[str, str], int] = {}
+        topics: Topics = {}
         for number, file in enumerate(files):
             if number:
                 writer.next_file()
@@ -135,13 +142,15 @@ def _copy(
         for metadata in told:
             for topic in metadata.topics:
                 # also that of publishers who came after the first message
-                if topic.qos and (topic.name, topic.type_name) in topics:
-                    writer.add_offers(topics[topic.name, topic.type_name], topic.qos)
+                if topic.qos:
+                    for (name, schema, _), number in topics.items():
+                        if (name, schema.type_name) == (topic.name, topic.type_name):
+                            writer.add_offers(number, topic.qos)
         recovery.messages = writer.message_count
 
 
 def _copy_file(
-    file: McapFile, writer: BagWriter, topics: dict[tuple[str, str], int], recovery: Recovery,
+    file: McapFile, writer: BagWriter, topics: Topics, recovery: Recovery,
 ) -> None:
     recovery.remarks += [f'{damage}; it was left out' for damage in file.damage]
     unnamed = 0
@@ -154,13 +163,15 @@ def _copy_file(
             recovery.remarks.append(f'{error}; the chunk was left out')
             continue
         recovery.chunks += 1
+        numbers: dict[int, int] = {}
         for message in messages:
             if message.channel not in file.channels:
                 unnamed += 1
                 continue
-            writer.write(
-                _topic(file, message.channel, writer, topics), message.log_time,
-                message.publish_time, bytes(message.data))
+            if message.channel not in numbers:
+                numbers[message.channel] = _topic(file, message.channel, writer, topics)
+            writer.write(numbers[message.channel], message.log_time, message.publish_time,
+                         bytes(message.data))
     if unnamed:
         recovery.remarks.append(
             f'{file.path.name}: {unnamed} messages were left out, their topic is not known')
@@ -169,25 +180,23 @@ def _copy_file(
         _topic(file, channel, writer, topics)
 
 
-def _topic(
-    file: McapFile, channel: int, writer: BagWriter, topics: dict[tuple[str, str], int],
-) -> int:
+def _topic(file: McapFile, channel: int, writer: BagWriter, topics: Topics) -> int:
     entry = file.channels[channel]
-    schema = file.schemas.get(entry.schema_id)
-    type_name = schema.name if schema else ''
-    number = topics.get((entry.topic, type_name))
+    told = file.schemas.get(entry.schema_id)
+    schema = Schema(
+        told.name if told else '', told.encoding if told else '',
+        told.data.decode('utf-8', 'replace') if told else '',
+        entry.metadata.get('topic_type_hash', ''))
+    encoding = entry.message_encoding or ENCODING
+    number = topics.get((entry.topic, schema, encoding))
     if number is None:
-        text = schema.data.decode('utf-8', 'replace') if schema else ''
         try:
             qos = qos_from_text(entry.metadata.get('offered_qos_profiles', ''))
         except BagError:
             # the messages are worth more than the QoS
             qos = []
-        number = topics[entry.topic, type_name] = writer.add_topic(
-            entry.topic, type_name, qos,
-            schema=Schema(type_name, schema.encoding if schema else '', text,
-                          entry.metadata.get('topic_type_hash', '')),
-            encoding=entry.message_encoding or ENCODING)
+        number = topics[entry.topic, schema, encoding] = writer.add_topic(
+            entry.topic, schema.type_name, qos, schema=schema, encoding=encoding)
     return number
 
 

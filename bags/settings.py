@@ -82,6 +82,23 @@ def names_of(text: str) -> list[str]:
     return [name.strip() for name in text.split(',') if name.strip()]
 
 
+def chosen_names(text: str, resolve: Callable[[str], str]) -> list[str]:
+    """
+    Return the full names of the topics in a setting that has to choose some.
+
+    Args:
+        text: what was set.
+        resolve: what ROS makes of a name.
+
+    Raises:
+        BagError: no name at all, or one that ROS refuses.
+    """
+    names = resolved_names(text, resolve)
+    if not names:
+        raise BagError(f'topics is {text[:100]!r}, which chooses none; {ALL} = every topic')
+    return names
+
+
 def resolved_names(text: str, resolve: Callable[[str], str]) -> list[str]:
     """
     Return the full names of the topics in a comma-separated setting.

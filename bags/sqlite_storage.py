@@ -19,6 +19,8 @@ from msgs_bridge.plain_text import plain
 
 # the last time that a database can hold
 LAST_TIME = 2 ** 63 - 1
+# of so many faults of its structure sqlite3 tells
+MOST_DAMAGE = 20
 # characters of what sqlite3 says
 LINE = 300
 
@@ -59,6 +61,11 @@ class SqliteStorage:
         """Yield messages by log time, file after file as rosbag2 does."""
         for file in self._files:
             yield from file.messages(names, start, stop)
+
+    def damage(self) -> list[str]:
+        """Read everything; return what is wrong with it, each a sentence."""
+        return [f'{file.path.name}: {plain(problem, LINE)}'
+                for file in self._files for problem in file.damage()]
 
     def close(self) -> None:
         """Let go of the files."""
@@ -113,6 +120,19 @@ class _SqliteFile:
                 yield BagMessage(
                     self._names[number], time, time,
                     self._unpacked(time, data) if self._packed else data)
+
+    def damage(self) -> list[str]:
+        """Return what sqlite3 finds wrong, and the first message that cannot be read."""
+        found = []
+        try:
+            with self._guarded():
+                found += [str(told) for told, in self._base.execute(
+                    f'PRAGMA integrity_check({MOST_DAMAGE})') if told != 'ok']
+            for _ in self.messages(self._names.values(), 0, 2 ** 64):
+                pass
+        except BagError as error:
+            found.append(str(error).removeprefix(f'{self.path}: '))
+        return found
 
     def close(self) -> None:
         """Let go of the file."""

@@ -21,6 +21,8 @@ from msgs_bridge.twists import Command
 MISSING = {'lost_image': 'an image', 'lost_twist': 'the twist that was applied',
            'no_image': 'an image, of which there is none', 'no_twist': 'a twist, of which there '
            'is none', 'lost_step': 'a step'}
+WRONG = {'twofold': 'transitions have different messages of one stamp, as when two publish',
+         'after_end': 'steps come after the end of their episode'}
 UNUSUAL = ('duplicate', 'odd_step', 'rewound')
 LATE = ('lost_twist', 'lost_image', 'no_twist', 'no_image')
 
@@ -123,6 +125,7 @@ def _transition_findings(
                      'their topics were recorded later')
     problems += [f'{counts[name]} transitions lack {what}'
                  for name, what in MISSING.items() if counts[name]]
+    problems += [f'{counts[name]} {what}' for name, what in WRONG.items() if counts[name]]
     if counts['rejected']:
         problems.append(f'{counts["rejected"]} messages cannot be used')
     if first is not None:

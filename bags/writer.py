@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+import contextlib
 import dataclasses
+import os
 from pathlib import Path
 import time
 from typing import Any
@@ -16,10 +18,15 @@ from bags.metadata import (
 )
 from bags.qos_text import qos_to_text
 from bags.schemas import Schema, schema_of
-from msgs_bridge.yaml_text import dump_yaml
+from msgs_bridge.yaml_text import dump_yaml, MAX_TEXT
 
 # The library's own default is 768 KiB; a chunk is what a crash costs at most.
 CHUNK_BYTES = 1 << 20
+# What metadata.yaml says of a file has so many characters, its name not counted, which is there
+# twice. Half of what may be read goes to files, the rest to topics.
+FILE_TEXT = 260
+MOST_FILE_TEXT = MAX_TEXT // 2
+MOST_TOPICS = 5000
 ROSBAG2_RECORD = 'rosbag2'
 PROVENANCE_RECORD = 'provenance'
 
@@ -36,7 +43,9 @@ class _Topic:
 
 class BagWriter:
     """
-    Writes a new bag; `close` makes it complete.
+    Writes a new bag; `close` makes it complete, as the end of a `with` does that goes well.
+
+    One that is left by an error is removed: nobody shall believe half of it later.
 
     Attributes:
         folder: the bag.
@@ -65,7 +74,8 @@ class BagWriter:
             compression: `none`, `lz4` or `zstd`, chunk by chunk.
             chunk_bytes: size at which a chunk is closed, bytes before packing.
             chunk_seconds: wall time after which `tick` closes a chunk.
-            split_bytes: size at which the next file is begun; 0 = never.
+            split_bytes: size at which the next file is begun; 0 = never. Of some thousand files
+                the last takes the rest, for `metadata.yaml` has to stay readable.
             split_seconds: span of log time after which the next file is begun; 0 = never.
             custom_data: texts for `metadata.yaml` and for a metadata record in every file.
             clock: seconds that only go forward.
@@ -97,13 +107,13 @@ class BagWriter:
         except OSError as error:
             raise BagError(f'cannot create {self.folder}: {error.strerror}') from None
         self._name = name
+        self._place = self.folder.stat()
+        self._most_files = MOST_FILE_TEXT // (FILE_TEXT + 2 * len(dump_yaml(name)))
         try:
             self._begin_file()
         except BaseException:
             # an empty folder would only be in the way of the next attempt
-            for path in self.folder.iterdir():
-                path.unlink()
-            self.folder.rmdir()
+            self._remove()
             raise
 
     def add_topic(
@@ -124,7 +134,12 @@ class BagWriter:
             qos: one profile per publisher, see `qos_text.offered_qos`.
             schema: definition; looked up on this machine if not given.
             encoding: serialization of the messages.
+
+        Raises:
+            BagError: more topics than `metadata.yaml` can name and still be read.
         """
+        if len(self._topics) == MOST_TOPICS:
+            raise BagError(f'{self.folder}: a bag has {MOST_TOPICS} topics at most')
         topic = _Topic(name, schema or schema_of(type_name), list(qos), encoding)
         self._topics.append(topic)
         self._register(topic)
@@ -167,7 +182,7 @@ class BagWriter:
         if (self._split_at is not None and log_time >= self._split_at) or (
                 self._split_bytes and file.size + file.open_bytes >= self._split_bytes
                 and file.message_count + file.open_messages):
-            self._guard(self._next_file)
+            self.next_file()
             file = self._file
         if file.open_messages == 0:
             self._chunk_opened = self._clock()
@@ -193,12 +208,15 @@ class BagWriter:
 
     def next_file(self) -> None:
         """
-        Complete the present file and begin the next one.
+        Complete the present file and begin the next one, if the bag may have one more.
 
         Raises:
             OSError: the disk is full or gone; `lost` says what it cost.
         """
-        self._guard(self._next_file)
+        if len(self._files) + 1 < self._most_files:
+            self._guard(self._next_file)
+        else:
+            self._split_at, self._split_bytes, self._split_nanoseconds = None, 0, 0
 
     @property
     def size(self) -> int:
@@ -217,7 +235,7 @@ class BagWriter:
         self.closed = True
         try:
             self.check_place()
-            self._end_file()
+            self._end_file(last=True)
         finally:
             self._file.close()
         write_metadata(self.folder, self.metadata())
@@ -240,8 +258,34 @@ class BagWriter:
     def __enter__(self) -> BagWriter:
         return self
 
-    def __exit__(self, *_: object) -> None:
-        self.close()
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is not None:
+            if not self.closed:
+                self._give_up()
+            return
+        try:
+            self.close()
+        except BaseException:
+            self._give_up()
+            raise
+
+    def _give_up(self) -> None:
+        self.closed = True
+        self._file.close()
+        # the error that led here says more than one of these would
+        with contextlib.suppress(OSError):
+            self._remove()
+
+    def _remove(self) -> None:
+        """Remove the bag, if its place is not somebody else's meanwhile."""
+        if not os.path.samestat(self._place, self.folder.stat()):
+            return
+        for number in range(len(self._files) + 1):
+            self._path(number).unlink(missing_ok=True)
+        self.folder.rmdir()
+
+    def _path(self, number: int) -> Path:
+        return self.folder / f'{self._name}_{number}.mcap'
 
     def _guard(self, act: Callable[[], None]) -> None:
         try:
@@ -259,9 +303,9 @@ class BagWriter:
         self.message_count = sum(topic.message_count for topic in self._topics)
 
     def _begin_file(self) -> None:
-        path = self.folder / f'{self._name}_{len(self._files)}.mcap'
         self._done = {topic.name: topic.message_count for topic in self._topics}
-        self._file = McapFileWriter(path, compression=self._compression)
+        self._file = McapFileWriter(
+            self._path(len(self._files)), compression=self._compression)
         self._file.add_metadata(ROSBAG2_RECORD, self._rosbag2_record(BagMetadata(
             custom_data=self._custom_data)))
         if self._custom_data:
@@ -272,13 +316,17 @@ class BagWriter:
         for topic in self._topics:
             self._register(topic)
 
-    def _end_file(self) -> None:
+    def _end_file(self, *, last: bool = False) -> None:
         file = self._file
         self._guard(file.flush)
         self._files.append(FileMetadata(
             file.path.name, file.start_time if file.message_count else NO_TIME,
             file.end_time - file.start_time, file.message_count))
-        file.add_metadata(ROSBAG2_RECORD, self._rosbag2_record(self.metadata()))
+        metadata = self.metadata()
+        if not last:
+            # all files in each would make the time for a bag grow with the square of their number
+            metadata = dataclasses.replace(metadata, files=metadata.files[-1:])
+        file.add_metadata(ROSBAG2_RECORD, self._rosbag2_record(metadata))
         file.finish()
 
     def _next_file(self) -> None:

@@ -11,6 +11,7 @@ from typing import Any
 
 from dqn_policy_node.action_space import ActionSpace, read_action_space
 from dqn_policy_node.errors import ModelError
+from msgs_bridge.plain_text import plain
 from msgs_bridge.twists import Command
 
 # of a frame, when a description of before they were written down does not say
@@ -146,7 +147,7 @@ def parse_convolutions(text: str) -> tuple[Convolution, ...]:
         match = _CONVOLUTION.fullmatch(part)
         if match is None:
             raise ModelError(
-                f'convolution {part!r}; accepted: FILTERS@KERNEL/STRIDE, like 32@8/4')
+                f'convolution {plain(part)!r}; accepted: FILTERS@KERNEL/STRIDE, like 32@8/4')
         layers.append(Convolution(*map(int, match.groups())))
     return tuple(layers)
 

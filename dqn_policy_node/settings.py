@@ -7,6 +7,7 @@ import dataclasses
 
 from dqn_policy_node.camera import CameraSettings
 from dqn_policy_node.command_stage import CommandSettings
+from msgs_bridge.errors import SettingsError
 from msgs_bridge.settings import setting
 
 
@@ -45,3 +46,11 @@ class DrivingSettings:
 @dataclasses.dataclass(frozen=True)
 class PolicySettings(CommandSettings, CameraSettings, DrivingSettings):
     """What can be set on the policy node."""
+
+    def __post_init__(self) -> None:
+        """Check what concerns more than one value; raises SettingsError."""
+        super().__post_init__()
+        if not self.model and not self.hot_swap:
+            raise SettingsError(
+                'model is empty, which waits for weights, and hot_swap is false, which takes '
+                'none: name a model, or set hot_swap')

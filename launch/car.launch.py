@@ -3,6 +3,7 @@
 """Launch one car, simulator and policy, for a trainer that was started by learner.launch.py."""
 from carracing_dqn.bringup.graph import one_of_the_cars
 from carracing_dqn.bringup.launch_graph import launch_actions
+from carracing_dqn.simulation.profiles import profile_of
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
@@ -14,9 +15,11 @@ def nodes(context: object) -> list:
     def value(name: str) -> str:
         return LaunchConfiguration(name).perform(context)
 
+    settings = load_preset(value('preset'))
     return launch_actions(one_of_the_cars(
-        load_preset(value('preset')), int(value('car')), int(value('cars')),
-        first_episode=int(value('first_episode'))), value('namespace'))
+        settings, int(value('car')), int(value('cars')),
+        first_episode=int(value('first_episode')),
+        vehicle=profile_of(settings.simulator).vehicle), value('namespace'))
 
 
 def generate_launch_description() -> LaunchDescription:

@@ -3,6 +3,7 @@
 """Launch trainer and validator, for cars that come and go on any host."""
 from carracing_dqn.bringup.graph import learner_graph
 from carracing_dqn.bringup.launch_graph import launch_actions
+from carracing_dqn.simulation.profiles import profile_of
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
@@ -14,8 +15,9 @@ def nodes(context: object) -> list:
     def value(name: str) -> str:
         return LaunchConfiguration(name).perform(context)
 
+    settings = load_preset(value('preset'))
     return launch_actions(learner_graph(
-        load_preset(value('preset')), cars=int(value('cars')),
+        settings, cars=int(value('cars')), vehicle=profile_of(settings.simulator).vehicle,
         trainer={'run': value('run'), 'preset': value('preset')}), value('namespace'))
 
 

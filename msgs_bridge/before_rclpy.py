@@ -7,7 +7,7 @@ import os
 
 from msgs_bridge.dead_segments import remove_dead_segments
 from msgs_bridge.errors import BridgeError
-from msgs_bridge.host_only import stay_on_this_host
+from msgs_bridge.host_only import check_profile, stay_on_this_host
 from msgs_bridge.log_folder import ensure_log_folder
 from msgs_bridge.plain_text import plain
 
@@ -20,12 +20,14 @@ def before_rclpy() -> None:
     Set the environment for ROS, which child processes inherit, and tidy up after dead nodes.
 
     Raises:
-        BridgeError: the machine lacks something that every node needs, or ROS_DOMAIN_ID is none.
+        BridgeError: the machine lacks something that every node needs, ROS_DOMAIN_ID is none, or
+            Fast DDS would open the graph for want of its profile.
     """
     domain = os.environ.get('ROS_DOMAIN_ID', '')
     if not is_domain(domain or '0'):
         raise BridgeError(f'ROS_DOMAIN_ID is {plain(domain, 40)!r}; accepted: 0 to {LAST_DOMAIN}')
     stay_on_this_host()
+    check_profile()
     ensure_log_folder()
     remove_dead_segments()
 

@@ -19,8 +19,11 @@ from pathlib import Path
 import shlex
 import socket
 import sys
+from xml.etree import ElementTree
 
 from msgs_bridge.errors import BridgeError
+from msgs_bridge.plain_text import plain
+from msgs_bridge.regular_file import read_regular
 from msgs_bridge.share import share_path
 
 RANGE = 'ROS_AUTOMATIC_DISCOVERY_RANGE'
@@ -32,6 +35,8 @@ PROFILE_VARIABLE = 'FASTRTPS_DEFAULT_PROFILES_FILE'
 
 SKIP_VARIABLE = 'SKIP_DEFAULT_XML_FILE'
 """Keeps Fast DDS from a profile that happens to lie in the current folder."""
+
+MAX_PROFILE_BYTES = 2**20
 
 
 def stay_on_this_host() -> None:
@@ -46,10 +51,33 @@ def stay_on_this_host() -> None:
         _check_loopback()
 
 
+def check_profile() -> None:
+    """
+    See that Fast DDS can read the profile that it is told of.
+
+    It goes on without one that it cannot read, with sockets that hear every address.
+
+    Raises:
+        BridgeError: it cannot, and the graph is to stay on this host.
+    """
+    profile = os.environ.get(PROFILE_VARIABLE)
+    if not profile or os.environ.get(RANGE) in OPEN:
+        return
+    try:
+        ElementTree.fromstring(read_regular(profile, MAX_PROFILE_BYTES, BridgeError))
+    except (BridgeError, ElementTree.ParseError, ValueError, LookupError) as error:
+        reason = str(error) if isinstance(error, BridgeError) else f'{profile}: no XML'
+        raise BridgeError(
+            f'{PROFILE_VARIABLE} names no profile of Fast DDS ({plain(reason, 200)}), and without '
+            f'one other hosts get in: unset it, or set {RANGE}=SUBNET to let them') from None
+
+
 def _set(environment: MutableMapping[str, str]) -> None:
     discovery = environment.setdefault(RANGE, 'LOCALHOST')
     profile = environment.get(PROFILE_VARIABLE)
-    if discovery not in OPEN and not profile:
+    # one of ours that is gone is of an installation that was moved since its shell began
+    gone = profile and _is_ours(profile) and not os.path.isfile(profile)
+    if discovery not in OPEN and (not profile or gone):
         environment[PROFILE_VARIABLE] = str(share_path(PROFILE).absolute())
         environment[SKIP_VARIABLE] = '1'
     elif discovery in OPEN and profile and _is_ours(profile):

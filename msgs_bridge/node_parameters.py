@@ -91,7 +91,7 @@ def _refuse_unknown(
     node: Node, known: Known, typed: Mapping[str, str], arguments: Sequence[str],
 ) -> None:
     unknown = [name for name in node._parameter_overrides
-               if name not in known and not name.startswith(FOREIGN_PARAMETERS)]
+               if name not in known and name.partition('.')[0] not in FOREIGN_PARAMETERS]
     if not unknown:
         return
     shared = set(_shared_names(arguments, node.get_name()))

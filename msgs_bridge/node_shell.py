@@ -333,7 +333,11 @@ class NodeShell(Node):
                 except SettingsError as error:
                     return SetParametersResult(successful=False, reason=str(error))
         if changes:
-            self.settings = dataclasses.replace(self.settings, **changes)
+            try:
+                # they may not go together
+                self.settings = dataclasses.replace(self.settings, **changes)
+            except SettingsError as error:
+                return SetParametersResult(successful=False, reason=str(error))
             self.settings_changed()
         return SetParametersResult(successful=True)
 

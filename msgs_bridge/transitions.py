@@ -11,13 +11,18 @@ dropped and counted, and no other is touched.
 Nothing on a topic can be trusted to be in order, though. So one message alone never moves a topic
 in time, far ahead or back: it takes two that follow each other, as when a bag loops or a simulator
 starts again. An odd one costs the transitions that it stands in the way of, and no later ones.
+
+Of several twists with one stamp a simulator in lockstep applies the first and one in real time the
+last. What is learned from is the one that `step` says was applied (`linear` and `angular`). Where
+it does not say, or where images or steps of one stamp differ, as when two publish a topic, nothing
+tells what happened: such a transition is dropped and counted.
 """
 from __future__ import annotations
 
 from collections import Counter, deque
 import dataclasses
 import heapq
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -30,6 +35,10 @@ from msgs_bridge.twists import Command
 REACH = 600 * NANOSECONDS
 # a twist may be applied to frames that come later than the one it answers
 TWIST_KEPT = NANOSECONDS
+# different twists of one stamp that are kept: the first ones and the last
+MOST_TWISTS = 8
+# by which a twist and what `step` says of it may differ: one may have been a float32
+SAID_TOLERANCE = 1e-6
 MAX_MESSAGES = 4096
 MAX_IMAGE_BYTES = 64 * 2**20
 
@@ -121,6 +130,7 @@ class _Lane:
         self._items: dict[int, tuple[Any, int]] = {}
         self._oldest: list[int] = []
         self._position = _Position()
+        self._left: set[int] = set()
 
     def __len__(self) -> int:
         return len(self._items)
@@ -131,26 +141,27 @@ class _Lane:
     def __getitem__(self, stamp: int) -> Any:
         return self._items[stamp][0]
 
-    def put(self, stamp: int, item: Any, size: int, *, newest: bool = False) -> bool:
-        """
-        Keep an item of so many bytes; return False for a stamp that is there already.
-
-        Args:
-            stamp: of the message.
-            item: what is kept of it.
-            size: its bytes.
-            newest: whether it takes the place of one that is there.
-        """
+    def hear(self, stamp: int) -> Any | None:
+        """Take note of a message; return what is kept of its stamp, None for nothing."""
         self.heard += 1
         if self._position.move(stamp) == 'moved':
-            # what is ahead was left behind by the time before
+            # what is ahead was left behind by the time before, unless somebody else sends it
+            ahead = {other for other in self._items if other >= stamp}
+            self._left = (self._left | ahead if len(self._left) < self._max_messages else ahead)
             self.forget_from(stamp)
+        return self._items.get(stamp, (None,))[0]
+
+    def had_another(self, stamp: int) -> bool:
+        """Return whether there was something of a stamp that was left behind."""
+        return stamp in self._left
+
+    def put(self, stamp: int, item: Any, size: int) -> None:
+        """Keep an item of so many bytes for a stamp, in place of one that is there."""
         if stamp in self._items:
-            if newest:
-                self.held_bytes += size - self._items[stamp][1]
-                self._items[stamp] = item, size
-                self._trim()
-            return False
+            self.held_bytes += size - self._items[stamp][1]
+            self._items[stamp] = item, size
+            self._trim()
+            return
         self._items[stamp] = item, size
         self.held_bytes += size
         if len(self._oldest) > 2 * len(self._items) + 64:
@@ -158,7 +169,6 @@ class _Lane:
         else:
             heapq.heappush(self._oldest, stamp)
         self._trim()
-        return True
 
     def _trim(self) -> None:
         """Drop what came first until the rest is within the bounds."""
@@ -173,6 +183,8 @@ class _Lane:
         """Drop what is older than a stamp."""
         while self._oldest and self._oldest[0] < stamp:
             self._drop(heapq.heappop(self._oldest))
+        if self._left:
+            self._left = {other for other in self._left if other >= stamp}
 
     def forget_from(self, stamp: int) -> None:
         """Drop what is of a stamp or newer."""
@@ -184,7 +196,8 @@ class _Lane:
         return self._position.stamp is not None and self._position.stamp > stamp
 
     def set_back(self, stamp: int) -> None:
-        """Expect messages from a stamp on again."""
+        """Expect messages from a stamp on again, after what was left behind."""
+        self._left.clear()
         if self.has_passed(stamp):
             self._position.stamp = stamp - 1
 
@@ -201,6 +214,21 @@ def missing_steps(before: Step, after: Step) -> int:
     return max(after.decision - before.decision - 1, 0 if after.decision > before.decision else 1)
 
 
+class _Image(NamedTuple):
+    """The newest frame of a stamp, and whether all of that stamp were the same."""
+
+    frame: np.ndarray
+    alone: bool
+
+
+class _Place(NamedTuple):
+    """The newest step of a stamp, and whether all of that stamp said the same."""
+
+    stamp: int
+    step: Step
+    alone: bool = True
+
+
 class TransitionJoiner:
     """
     Joins images, steps and twists of one car into transitions.
@@ -211,9 +239,10 @@ class TransitionJoiner:
     Attributes:
         counts: how many were `joined`, and why others were dropped: `duplicate` messages,
             `unanswered` (no twist was applied), `lost_image`, `lost_twist`, `lost_step` (how many
-            steps are missing), `odd_step` (a stamp that nothing followed), `no_image` and
-            `no_twist` (nothing of that topic has ever come), `rewound` (time went back, as when a
-            bag loops).
+            steps are missing), `odd_step` (a stamp that nothing followed), `after_end` (a step of
+            an episode that had ended), `twofold` (different messages have one stamp, and nothing
+            tells which counts), `no_image` and `no_twist` (nothing of that topic has ever come),
+            `rewound` (time went back, as when a bag loops).
     """
 
     def __init__(
@@ -222,11 +251,13 @@ class TransitionJoiner:
         """Bound what is kept to so many messages a topic, and to so many bytes of images."""
         self._images = _Lane(image_bytes, capacity)
         self._twists = _Lane(image_bytes, capacity)
-        self._steps: deque[tuple[int, Step]] = deque()
+        self._steps: deque[_Place] = deque()
         self._position = _Position()
-        self._doubted: tuple[int, Step] | None = None
+        self._doubted: _Place | None = None
         self._capacity = capacity
         self._waits_for = ''
+        # whether `step` said of the last transition what its twist says; None if it said nothing
+        self._agrees: bool | None = None
         self.counts: Counter[str] = Counter()
 
     @property
@@ -250,16 +281,22 @@ class TransitionJoiner:
 
     def add_image(self, stamp: int, frame: np.ndarray) -> list[Transition]:
         """Take an image, uint8 (H, W, 3), at a stamp in ns."""
-        # one that is sent again is the same, unless the simulator has been started again
-        if not self._images.put(stamp, frame, frame.nbytes, newest=True):
+        before = self._images.hear(stamp)
+        alone = True
+        if before is not None:
             self.counts['duplicate'] += 1
+            # one that is sent again is the same
+            alone = before.alone and np.array_equal(before.frame, frame)
+        self._images.put(stamp, _Image(frame, alone), frame.nbytes)
         return self._join()
 
     def add_twist(self, stamp: int, command: Command) -> list[Transition]:
         """Take the command that answers the image of a stamp in ns."""
-        # of two answers to one frame the first is the one that was applied
-        if not self._twists.put(stamp, command, 0):
+        before = self._twists.hear(stamp) or ()
+        if before:
             self.counts['duplicate'] += 1
+        if command not in before:
+            self._twists.put(stamp, (*before[:MOST_TWISTS - 1], command), 0)
         return self._join()
 
     def add_step(self, stamp: int, step: Step) -> list[Transition]:
@@ -274,17 +311,19 @@ class TransitionJoiner:
         if how == 'again':
             self.counts['duplicate'] += 1
             if self._steps:
-                self._steps[-1] = stamp, step
+                newest = self._steps[-1]
+                self._steps[-1] = _Place(stamp, step, newest.alone and step == newest.step)
             return []
-        doubted, self._doubted = self._doubted, (stamp, step) if how == 'doubted' else None
+        place = _Place(stamp, step)
+        doubted, self._doubted = self._doubted, place if how == 'doubted' else None
         if how == 'moved':
             if stamp < before:
-                self._rewind(doubted[0])
+                self._rewind(doubted.stamp)
             self._steps.append(doubted)
         elif doubted is not None:
             self.counts['odd_step'] += 1
         if how != 'doubted':
-            self._steps.append((stamp, step))
+            self._steps.append(place)
         while len(self._steps) > self._capacity:
             self._steps.popleft()
             self.counts[self._named(
@@ -301,7 +340,7 @@ class TransitionJoiner:
     def _rewind(self, start: int) -> None:
         """Start anew at a stamp after time went back: nothing across the break is joined."""
         self.counts['rewound'] += 1
-        front = self._steps[0][0] if self._steps else start
+        front = self._steps[0].stamp if self._steps else start
         self._steps.clear()
         # what came before the break is at least as new as the spine was; the rest is of after it
         self._images.forget_from(front)
@@ -313,8 +352,8 @@ class TransitionJoiner:
         joined = []
         self._waits_for = ''
         while len(self._steps) > 1:
-            (stamp, before), (next_stamp, after) = self._steps[0], self._steps[1]
-            verdict = self._verdict(stamp, before, next_stamp, after)
+            before, after = self._steps[0], self._steps[1]
+            verdict = self._verdict(before, after)
             if verdict == 'wait':
                 break
             if isinstance(verdict, Transition):
@@ -323,39 +362,71 @@ class TransitionJoiner:
             if verdict in ('lost_image', 'lost_twist'):
                 verdict = self._named(verdict)
             if verdict == 'lost_step':
-                self.counts[verdict] += missing_steps(before, after)
+                self.counts[verdict] += missing_steps(before.step, after.step)
             elif verdict != 'boundary':
                 self.counts[verdict] += 1
             self._steps.popleft()
-            self._images.forget_before(next_stamp)
-            self._twists.forget_before(next_stamp - TWIST_KEPT)
+            self._images.forget_before(after.stamp)
+            # one that is held for long is still to be applied
+            applied = after.stamp if after.step.applied is None else after.step.applied
+            self._twists.forget_before(min(after.stamp - TWIST_KEPT, applied))
         return joined
 
-    def _verdict(
-        self, stamp: int, before: Step, next_stamp: int, after: Step,
-    ) -> Transition | str:
-        if missing_steps(before, after):
+    def _verdict(self, before: _Place, after: _Place) -> Transition | str:
+        if missing_steps(before.step, after.step):
             return 'lost_step'
-        if before.episode != after.episode or after.decision == 0:
+        if before.step.episode != after.step.episode or after.step.decision == 0:
             return 'boundary'
-        applied = after.applied
+        if before.step.ended:
+            return 'after_end'
+        applied = after.step.applied
         if applied is None:
             return 'unanswered'
-        for wanted in (stamp, next_stamp):
+        for wanted in (before.stamp, after.stamp):
             if wanted not in self._images:
                 return self._absent(self._images, wanted, IMAGE.name, 'lost_image')
         if applied not in self._twists:
-            if applied > next_stamp and not self._twists.has_passed(next_stamp):
+            if applied > after.stamp and not self._twists.has_passed(after.stamp):
                 # twists of this clock answer frames that were seen before
                 return 'lost_twist'
             return self._absent(self._twists, applied, CMD_VEL.name, 'lost_twist')
+        commands = self._twists[applied]
+        said = _said(after.step)
+        command = next((one for one in commands if _is(one, said)), commands[0])
+        agrees = None if said is None else _is(command, said)
+        if agrees is False and self._agrees is not False and not self._twists.has_passed(applied):
+            # another one of its stamp may be on its way
+            self._waits_for = CMD_VEL.name
+            return 'wait'
+        self._agrees = agrees
+        # a single twist is what was applied, whatever `linear` and `angular` are to a simulator
+        single = len(commands) == 1 and not self._twists.had_another(applied)
+        if not (single or agrees) or any(
+                self._is_twofold(one) for one in (before, after)):
+            return 'twofold'
         return Transition(
-            stamp, next_stamp, self._images[stamp], self._images[next_stamp],
-            self._twists[applied], after, before,
-        )
+            before.stamp, after.stamp, self._images[before.stamp].frame,
+            self._images[after.stamp].frame, command, after.step, before.step)
+
+    def _is_twofold(self, place: _Place) -> bool:
+        """Return whether steps or images of one stamp differ."""
+        return not (place.alone and self._images[place.stamp].alone) or (
+            self._images.had_another(place.stamp))
 
     def _absent(self, lane: _Lane, wanted: int, topic: str, loss: str) -> str:
         if lane.has_passed(wanted):
             return loss
         self._waits_for = topic
         return 'wait'
+
+
+def _said(step: Step) -> Command | None:
+    """Return the command that `step` says was applied, None if it does not say."""
+    said = [step.info.get(name) for name in Command._fields]
+    return None if None in said else Command(*said)
+
+
+def _is(command: Command, said: Command | None) -> bool:
+    """Return whether a twist, clamped, is the command that a simulator says it has applied."""
+    return said is not None and all(
+        abs(own - other) <= SAID_TOLERANCE for own, other in zip(command.clamped(), said))

@@ -116,6 +116,19 @@ def fail(frame):
     raise RuntimeError('a fault of its own')
 
 
+def leave(frame):
+    """Be a policy that ends its process."""
+    raise SystemExit(0)
+
+
+class Unmade:
+    """A policy that cannot be made."""
+
+    def __init__(self) -> None:
+        """Fail."""
+        raise OSError('no hands')
+
+
 def not_finite(frame):
     """Be a policy that has lost its mind."""
     return float('nan'), 0.0, 0.0

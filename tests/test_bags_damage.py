@@ -4,7 +4,10 @@
 import contextlib
 import os
 from pathlib import Path
+import resource
 import shutil
+import subprocess
+import sys
 import tracemalloc
 import zlib
 
@@ -18,12 +21,14 @@ from bags.qos_text import offered_qos
 from bags.reader import BagReader
 from bags.recover import recover_bag
 from bags.verify import verify_bag
-from bags.writer import BagWriter
+from bags.writer import BagWriter, MOST_TOPICS
 from hypothesis import given, HealthCheck, settings, strategies
 import lz4.frame
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
-from mcap.records import Channel, Chunk, DataEnd, Footer, Header, Message, Schema
+from mcap.records import (
+    Channel, Chunk, DataEnd, Footer, Header, Message, MessageIndex, Schema,
+)
 from mcap.writer import CompressionType, Writer
 import numpy as np
 import pytest
@@ -206,11 +211,12 @@ def test_another_profile_is_refused(tmp_path):
 
 
 def foreign_bag(path, *, schema_encoding='ros2msg', message_encoding='cdr', times=(30, 10, 20),
-                type_name='nobody_msgs/msg/Nothing', data=b'\0\1\0\0', **options):
+                type_name='nobody_msgs/msg/Nothing', text=b'int32 x', data=b'\0\1\0\0',
+                **options):
     with path.open('wb') as file:
         writer = Writer(file, **{'compression': CompressionType.NONE, **options})
         writer.start(profile='ros2')
-        schema = writer.register_schema(type_name, schema_encoding, b'int32 x')
+        schema = writer.register_schema(type_name, schema_encoding, text)
         channel = writer.register_channel('/image_raw', message_encoding, schema)
         for time in times:
             writer.add_message(channel, time, data, time)
@@ -299,6 +305,62 @@ def test_messages_of_a_channel_without_a_name(tmp_path):
         BagReader(path)
 
 
+def chunk_of(*times, data=b'', first=None, last=None):
+    """Return a chunk with a message of /t at each time; first and last are what it says."""
+    inside = b''.join(map(record_bytes, (
+        Schema(id=1, data=b'', encoding='', name='t'),
+        Channel(id=1, topic='/t', message_encoding='cdr', metadata={}, schema_id=1),
+        *(Message(channel_id=1, log_time=time, data=data, publish_time=time, sequence=0)
+          for time in times))))
+    return Chunk(
+        compression='', data=inside, message_start_time=min(times) if first is None else first,
+        message_end_time=max(times) if last is None else last,
+        uncompressed_crc=zlib.crc32(inside), uncompressed_size=len(inside))
+
+
+@pytest.mark.parametrize(('first', 'last'), [(20, 30), (1, 10), (12, 30), (0, 0)])
+def test_a_chunk_that_lies_about_its_time_is_not_played_without_its_messages(
+    tmp_path, first, last,
+):
+    path = tmp_path / 'lie.mcap'
+    hostile(path, chunk_of(10, 12, 11, first=first, last=last))
+    with BagReader(path) as reader:
+        assert any('another time than its messages' in one for one in verify_bag(reader).problems)
+        with pytest.raises(BagError, match='bag recover` writes it anew'):
+            list(reader.messages(start=reader.start_time))
+    assert recover_bag(path, tmp_path / 'saved').messages == 3
+    with BagReader(tmp_path / 'saved') as reader:
+        assert [one.log_time for one in reader.messages(start=reader.start_time)] == [10, 11, 12]
+
+
+def test_a_chunk_of_nothing_but_empty_messages_takes_no_more_memory_than_a_few_times_its_size(
+    tmp_path,
+):
+    path, count = tmp_path / 'empty.mcap', 20_000
+    hostile(path, chunk_of(*[2] * (count // 2), *[1] * (count // 2)))
+    tracemalloc.start()
+    with BagReader(path) as reader:
+        assert sum(1 for _ in reader.messages()) == reader.message_count == count
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 3 * path.stat().st_size
+
+
+@pytest.mark.parametrize('change', [sorted, lambda entries: entries[::-1], lambda entries: [
+    *entries[:2], (5, 7), *entries[3:]]])
+def test_an_index_may_be_in_another_order_but_not_of_other_messages(tmp_path, change):
+    chunk = chunk_of(30, 10, 20)
+    places = [place for place in record_boundaries(MAGIC + chunk.data + MAGIC)[2:5]]
+    entries = change([(time, place - len(MAGIC)) for time, place in zip((30, 10, 20), places)])
+    body = b''.join(map(record_bytes, (
+        Header(profile='ros2', library=''), chunk, MessageIndex(channel_id=1, records=entries),
+        MessageIndex(channel_id=2, records=[]), DataEnd(0))))
+    path = tmp_path / 'index.mcap'
+    path.write_bytes(MAGIC + body + record_bytes(Footer(0, 0, 0)) + MAGIC)
+    with BagReader(path) as reader:
+        assert verify_bag(reader).good == ((5, 7) not in entries)
+
+
 def test_chunks_that_overlap_come_out_in_order_of_time(tmp_path):
     head = record_bytes(Schema(id=1, data=b'', encoding='', name='t')) + record_bytes(
         Channel(id=1, topic='/t', message_encoding='cdr', metadata={}, schema_id=1))
@@ -342,6 +404,8 @@ def test_metadata_that_lies_about_counts_is_said_and_the_files_count(small, tmp_
     ('bag_0.mcap', 'bag_7.mcap', 'names bag_7.mcap, which is not there'),
     ('bag_0.mcap', '/etc/passwd', 'which is not inside the bag'),
     ('bag_0.mcap', '../other.mcap', 'which is not inside the bag'),
+    ('- bag_0.mcap', '- bag_0.mcap\n  - other/bag_0.mcap', 'names a file twice'),
+    ("seed: '7'", 'seed: "\\ud800"', 'half a surrogate pair'),
     ('version: 9', 'version: 10', 'is of version 10; accepted: 1 to 9'),
     ('version: 9', 'version: x', "version is 'x'; expected a whole number"),
     ('storage_identifier: mcap', 'storage_identifier: tape', "storage 'tape'; accepted: mcap"),
@@ -630,3 +694,120 @@ def test_a_chunk_that_looks_like_a_record_of_an_application_is_found(small, tmp_
     recover_bag(tmp_path / 'damaged.mcap', tmp_path / 'saved')
     with BagReader(tmp_path / 'saved') as reader:
         assert read_all(reader) == written
+
+
+def numbers_bag(folder, count=100, **options):
+    """Write a bag of numbers; return its writer, still open."""
+    writer = BagWriter(folder, **options)
+    topic = writer.add_topic('/reward', 'std_msgs/msg/Float32', [offered_qos()])
+    for number in range(count):
+        writer.write(topic, number, 0, serialized('std_msgs/msg/Float32', float(number)))
+    return writer
+
+
+def test_a_bag_that_an_error_has_ended_is_not_there(tmp_path):
+    with pytest.raises(KeyboardInterrupt), numbers_bag(tmp_path / 'bag', split_bytes=2000):
+        raise KeyboardInterrupt
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(KeyboardInterrupt), numbers_bag(tmp_path / 'bag'):
+        (tmp_path / 'bag').rename(tmp_path / 'elsewhere')
+        small_bag(tmp_path / 'bag')
+        raise KeyboardInterrupt
+    with BagReader(tmp_path / 'bag') as reader:
+        assert verify_bag(reader).good
+
+
+def test_a_recovery_for_which_there_is_no_room_leaves_nothing(small, tmp_path):
+    limit = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (5000, limit[1]))
+    try:
+        with pytest.raises(BagError, match='saved: File too large; nothing was kept of it'):
+            recover_bag(small[0], tmp_path / 'saved')
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limit)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_bag_of_more_topics_than_can_be_read_again_is_not_recovered(tmp_path):
+    path = tmp_path / 'many.mcap'
+    path.write_bytes(MAGIC + record_bytes(Header(profile='ros2', library='')) + b''.join(
+        record_bytes(Channel(id=number, topic=f'/t{number}', message_encoding='cdr', metadata={},
+                             schema_id=0)) for number in range(1, MOST_TOPICS + 2))
+        + record_bytes(DataEnd(0)) + record_bytes(Footer(0, 0, 0)) + MAGIC)
+    with pytest.raises(BagError, match=f'a bag has {MOST_TOPICS} topics at most'):
+        recover_bag(path, tmp_path / 'saved')
+    assert not (tmp_path / 'saved').exists()
+
+
+def test_no_bag_has_more_files_than_its_metadata_can_name(tmp_path, monkeypatch):
+    monkeypatch.setattr('bags.writer.MOST_FILE_TEXT', 3000)
+    numbers_bag(tmp_path / 'bag', split_bytes=1).close()
+    with BagReader(tmp_path / 'bag') as reader:
+        assert 5 < len(reader.files) < 3000 // 260
+        assert [one.log_time for one in reader.messages()] == list(range(100))
+        assert verify_bag(reader).problems == []
+        # what is written for a file must not grow with the number of those before it
+        sizes = [len(file.metadata['rosbag2']['serialized_metadata'])
+                 for file in reader.mcap_files[:-1]]
+    assert max(sizes) < min(sizes) + 20
+    assert (tmp_path / 'bag' / 'metadata.yaml').stat().st_size < 3000 + 2000
+
+
+def test_the_last_file_of_a_bag_may_have_the_first_time(tmp_path):
+    writer = numbers_bag(tmp_path / 'bag', count=0)
+    writer.write(0, 2000, 0, serialized('std_msgs/msg/Float32', 1.0))
+    writer.next_file()
+    writer.write(0, 1000, 0, serialized('std_msgs/msg/Float32', 2.0))
+    writer.close()
+    with BagReader(tmp_path / 'bag') as reader:
+        assert verify_bag(reader).problems == []
+
+
+def test_a_topic_whose_definition_changed_between_files_keeps_both(tmp_path):
+    (tmp_path / 'bag').mkdir()
+    for number in (0, 1):
+        foreign_bag(tmp_path / 'bag' / f'bag_{number}.mcap', text=b'int32 x%d' % number,
+                    times=[number])
+    assert recover_bag(tmp_path / 'bag', tmp_path / 'saved').messages == 2
+    with BagReader(tmp_path / 'saved') as reader:
+        assert reader.message_count == 2
+        found = [file.schemas[file.channels[message.channel].schema_id].data
+                 for file in reader.mcap_files for message in file.messages()]
+    assert found == [b'int32 x0', b'int32 x1']
+
+
+def test_a_topic_of_two_encodings_is_no_topic(tmp_path):
+    small_bag(tmp_path / 'bag', messages=1)
+    for number, encoding in enumerate(('cdr', 'json')):
+        foreign_bag(tmp_path / 'bag' / f'bag_{number}.mcap', message_encoding=encoding)
+    (tmp_path / 'bag' / 'metadata.yaml').unlink()
+    with pytest.raises(BagError, match='is encoded as json and as cdr'):
+        BagReader(tmp_path / 'bag', strict=False)
+
+
+@pytest.mark.parametrize('change', ["b''", 'data[:-3000]', 'data[::-1]'])
+def test_a_file_that_is_written_over_while_it_is_read_is_said(small, tmp_path, change):
+    shutil.copytree(small[0], tmp_path / 'bag')
+    # who reads a map of what was cut off is killed
+    script = f"""if True:
+        import itertools, pathlib, sys
+        sys.path.insert(0, sys.argv[2])
+        from bags.errors import BagError
+        from bags.reader import BagReader
+        path = pathlib.Path(sys.argv[1])
+        with BagReader(path) as reader:
+            messages = reader.messages()
+            assert len(list(itertools.islice(messages, 10))) == 10
+            file = path / 'bag_0.mcap'
+            data = file.read_bytes()
+            file.write_bytes({change})
+            try:
+                print(10 + len(list(messages)))
+            except BagError as error:
+                print(error)
+    """
+    told = subprocess.run(
+        [sys.executable, '-c', script, str(tmp_path / 'bag'),
+         str(Path(__file__).resolve().parents[1])],
+        capture_output=True, text=True, timeout=60, check=True).stdout
+    assert 'was cut short meanwhile' in told or 'chunk' in told or told == f'{len(small[2])}\n'

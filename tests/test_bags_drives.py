@@ -258,6 +258,17 @@ def test_a_command_that_no_car_takes_ends_the_driving_of_its_episode_alone(tmp_p
     assert found.resimulation.frames == 41 + 30
 
 
+def test_a_bag_in_which_two_publish_under_one_stamp_is_not_good(tmp_path, short):
+    def change(name, number, data):
+        if name != '/step' or number != 10:
+            return [data]
+        held = decode_bundle(data, name)
+        return [data, bundle(held.stamp, {**held.values_with(), 'reward': 5.0})]
+
+    found = verified(changed(short, tmp_path / 'bag', change), resimulate=False)
+    assert any('different messages of one stamp' in one for one in found.problems), found
+
+
 def test_a_simulator_that_was_started_again_is_driven_again_from_its_start(tmp_path, short):
     def change(name, number, data):
         # the first run began before the recording

@@ -14,8 +14,10 @@ import time
 
 from bag_cases import read_all, record_drive, serialized, small_bag
 from bags.errors import BagError
+from bags.live_qos import Kind
 from bags.qos_text import offered_qos
 from bags.reader import BagReader
+from bags.recorded_topic import RecordedTopic
 from bags.recover import recover_bag
 from bags.schemas import Schema
 from bags.transitions import bag_transitions
@@ -319,6 +321,7 @@ def test_pause_and_step_services(graph, tmp_path):
     (PLAYER[0], ['rate:=1.0'], 'no bag was given'),
     (RECORDER[0], ['folder:={folder}/new', 'topics:="a b"'], "'a b' cannot be the name of a"),
     (RECORDER[0], ['folder:={folder}/new', 'exclude:="1"'], 'cannot be the name of a topic'),
+    (RECORDER[0], ['folder:={folder}/new', 'topics:=","'], "topics is ',', which chooses none"),
     (RECORDER[0], ['folder:={folder}/new', "provenance:='{{\"a\": \"\\ud800\"}}'"], 'surrogate'),
 ])
 def test_what_is_wrong_ends_the_node_with_one_line(tmp_path, module, parameters, told):
@@ -331,6 +334,38 @@ def test_what_is_wrong_ends_the_node_with_one_line(tmp_path, module, parameters,
     assert told in done.stderr
     assert done.stderr.count('\n') == 1
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_time_that_a_clock_cannot_say_is_not_played_as_another(tmp_path):
+    with BagWriter(tmp_path / 'bag') as writer:
+        topic = writer.add_topic('/word', 'std_msgs/msg/String', [])
+        writer.write(topic, 2 ** 31 * 10 ** 9, 0, serialized('std_msgs/msg/String', 'late'))
+    done = subprocess.run(
+        [sys.executable, '-m', PLAYER[0], '--ros-args', '-p', f'bag:={tmp_path / "bag"}', '-p',
+         'clock_rate:=10.0'], capture_output=True, text=True, timeout=60, cwd=ROOT)
+    assert done.returncode == 2
+    assert '/clock can say 2147483648 s at most' in done.stderr
+    assert done.stderr.count('\n') == 1
+
+
+def test_a_topic_that_is_listened_to_anew_brings_nothing_twice_and_says_what_is_not_counted():
+    kind = Kind(True, True)
+    topic = RecordedTopic('/word', 'std_msgs/msg/String', object, latched=True, depth=100)
+    topic.listen_with({kind: object()})
+    assert not topic.is_repeat(1, 1)
+    topic.sequence = 1
+    topic.publishers = frozenset([b'one'])
+    topic.listen_anew({kind: object()})
+    # the publisher counts: a gap tells what was lost
+    assert not topic.unsure
+    # and sends what it keeps once more
+    assert topic.is_repeat(1, 1)
+    assert not topic.is_repeat(2, 2)
+    for publishers, sequence in ((frozenset([b'one', b'two']), 2), (frozenset([b'one']), 0)):
+        topic.unsure = False
+        topic.publishers, topic.sequence = publishers, sequence
+        topic.listen_anew({kind: object()})
+        assert topic.unsure
 
 
 def test_a_recorder_that_joins_a_drive_calls_nothing_lost(graph, tmp_path):

@@ -131,6 +131,48 @@ def test_stop_ends_a_long_wait_at_once():
     assert playback.played == 1
 
 
+def test_a_playback_says_when_the_next_message_is_due():
+    playback = Playback(lambda message: None)
+    thread = in_thread(playback, messages(2, period=10 ** 18))
+    time.sleep(0.2)
+    assert playback.played == 1
+    assert playback.due - time.monotonic() == pytest.approx(10 ** 9, abs=10)
+    playback.pause(True)
+    time.sleep(0.1)
+    assert playback.due is None
+    playback.stop()
+    thread.join(2)
+    assert not thread.is_alive()
+
+
+def test_a_clock_is_never_ahead_of_the_next_message_though_it_wakes_late():
+    ticks = []
+    playback = Playback(lambda message: None, publish_clock=ticks.append, clock_rate=1000.0)
+    start = 10 ** 18
+    thread = in_thread(playback, messages(2, period=100 * MILLISECOND, start=start))
+    time.sleep(0.05)
+    # as long as this is taken nobody wakes
+    with playback._change:
+        time.sleep(0.2)
+    thread.join(2)
+    assert not thread.is_alive()
+    assert ticks == sorted(ticks)
+    assert ticks[-1] <= start + 100 * MILLISECOND
+
+
+def test_a_clock_that_hardly_ever_ticks_waits_no_longer_than_a_lock_can():
+    ticks = []
+    playback = Playback(lambda message: None, paused=True, clock_rate=1e-11,
+                        publish_clock=ticks.append)
+    thread = in_thread(playback, messages(3))
+    playback.step()
+    time.sleep(0.1)
+    assert thread.is_alive() and playback.played == 1
+    playback.stop()
+    thread.join(2)
+    assert not thread.is_alive()
+
+
 def test_clock_ticks_between_messages_and_stands_while_paused():
     ticks = []
     playback = Playback(lambda message: None, rate=2.0, clock_rate=100.0,

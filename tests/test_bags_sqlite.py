@@ -159,6 +159,31 @@ def test_messages_that_are_packed_by_themselves_are_unpacked_within_bounds(bag):
         BagReader(folder)
 
 
+def test_a_check_reads_every_message_of_a_database(bag):
+    folder, file = bag
+    with BagReader(folder) as reader:
+        found = verify_bag(reader)
+    assert found.good
+    assert found.notes[0].startswith('sqlite3 keeps no CRCs')
+    packed(folder, file, zstandard.compress(bytes(1000))[:-3])
+    with BagReader(folder) as reader:
+        problems = verify_bag(reader).problems
+    assert len(problems) == 1 and 'message of 5 ns: ' in problems[0], problems
+
+
+def test_a_check_finds_what_is_wrong_with_the_structure_of_a_database(bag):
+    folder, file = bag
+    changed(file, *(f'INSERT INTO messages(topic_id, timestamp, data) SELECT 1, {time}, data '
+                    'FROM messages WHERE id = 1' for time in range(10, 500)))
+    with_metadata(folder, lambda body, topic: body.update(message_count=491))
+    data = file.read_bytes()
+    # an entry of the index of times, beside that of the message itself
+    place = data.rindex((499).to_bytes(2, 'big'))
+    file.write_bytes(data[:place] + (498).to_bytes(2, 'big') + data[place + 2:])
+    with BagReader(folder) as reader:
+        assert any('bag.db3: ' in problem for problem in verify_bag(reader).problems)
+
+
 WRITE_AND_DIE = """import os, sqlite3, sys
 base = sqlite3.connect(sys.argv[1])
 base.execute('PRAGMA journal_mode = ' + sys.argv[2])

@@ -59,6 +59,7 @@ def node(*arguments, **options):
     (['--ros-args', '-p', 'seed:=11'], 'seed is 11; accepted: 0 to 10'),
     (['--ros-args', '-p', 'rate:=true'], 'rate must be a number, not True'),
     (['--ros-args', '-p', 'use_sim_time:=3'], 'use_sim_time'),
+    (['--ros-args', '-p', 'use_sim_timee:=true'], "unknown setting 'use_sim_timee'"),
     (['--ros-args', '-p', 'start_type_description_service:=3'], 'start_type_description_service'),
 ])
 def test_what_is_wrong_is_told_in_one_line(arguments, words):

@@ -10,8 +10,11 @@ import sys
 
 from carracing_dqn.bringup.environment import lay_out
 from graph_probe import wait_for
-from msgs_bridge.host_only import PROFILE, PROFILE_VARIABLE, RANGE, SKIP_VARIABLE
-from msgs_bridge.host_only import stay_on_this_host
+from msgs_bridge.before_rclpy import before_rclpy
+from msgs_bridge.errors import BridgeError
+from msgs_bridge.host_only import (
+    PROFILE, PROFILE_VARIABLE, RANGE, SKIP_VARIABLE, stay_on_this_host,
+)
 from msgs_bridge.share import share_path
 import pytest
 
@@ -126,6 +129,34 @@ def test_one_switch_opens_and_a_profile_of_the_users_own_stays(monkeypatch):
     for discovery in ('LOCALHOST', 'SUBNET'):
         own = {RANGE: discovery, PROFILE_VARIABLE: '/etc/own.xml'}
         assert environment_after(monkeypatch, **own) == (discovery, '/etc/own.xml')
+
+
+def test_a_profile_of_ours_that_is_gone_is_replaced_by_the_present_one(monkeypatch, tmp_path):
+    """A shell keeps the path of a checkout that was moved; without a profile Fast DDS opens."""
+    moved = str(tmp_path / PROFILE)
+    assert environment_after(monkeypatch, **{PROFILE_VARIABLE: moved}) == (
+        'LOCALHOST', str(share_path(PROFILE)))
+    assert environment_after(monkeypatch, **{RANGE: 'SUBNET', PROFILE_VARIABLE: moved}) == (
+        'SUBNET', None)
+
+
+@pytest.mark.parametrize('content', [None, b'no profile', b'\xff\xfe', 'fifo'])
+def test_a_profile_that_cannot_be_read_opens_nothing(monkeypatch, tmp_path, content):
+    own = tmp_path / 'own.xml'
+    if content == 'fifo':
+        os.mkfifo(own)
+    elif content is not None:
+        own.write_bytes(content)
+    environment_after(monkeypatch, **{PROFILE_VARIABLE: str(own)})
+    with pytest.raises(BridgeError, match=f'{PROFILE_VARIABLE} names no profile.*unset it'):
+        before_rclpy()
+    # who has opened the graph loses nothing by it
+    monkeypatch.setenv(RANGE, 'SUBNET')
+    before_rclpy()
+    own.unlink(missing_ok=True)
+    own.write_text(share_path(PROFILE).read_text())
+    environment_after(monkeypatch, **{PROFILE_VARIABLE: str(own)})
+    before_rclpy()
 
 
 def test_the_setup_file_does_the_same_for_tools_that_are_not_ours(tmp_path):

@@ -119,6 +119,109 @@ def test_an_unanswered_frame_is_no_transition():
     assert joiner.counts['unanswered'] == 1
 
 
+def saying(step, command):
+    """Return a step that says which command was applied."""
+    return dataclasses.replace(step, info={'linear': command.linear, 'angular': command.angular})
+
+
+def with_rival(*, applied, said=True):
+    """Return a drive in which a second driver answers every frame, and which twist was applied."""
+    images, steps, twists = drive(episodes=1, decisions=6)
+    answers = {stamp: (command, Command(1.0, -0.5 - number / 100))
+               for number, (_, stamp, command) in enumerate(twists)}
+    if said:
+        steps = [(kind, stamp, step if step.applied is None else
+                  saying(step, answers[step.applied][applied])) for kind, stamp, step in steps]
+    both = [('twist', stamp, command) for _, stamp, _ in twists for command in answers[stamp]]
+    return (images, steps, both), [answers[stamp][applied] for _, stamp, _ in twists]
+
+
+@settings(deadline=None)
+@given(strategies.lists(strategies.integers(0, 2), max_size=40), strategies.integers(0, 1))
+def test_of_two_twists_of_one_stamp_that_is_learned_from_which_was_applied(order, applied):
+    """In lockstep the first, in real time the last, whichever topic is heard first."""
+    lanes, commands = with_rival(applied=applied)
+    joined = feed(TransitionJoiner(), merge(order, lanes))
+    assert [one.command for one in joined] == commands[:6]
+
+
+def test_two_twists_of_which_nothing_tells_which_was_applied_are_counted():
+    lanes, _ = with_rival(applied=0, said=False)
+    joiner = TransitionJoiner()
+    # the second twist comes in time for all but the first transition
+    assert not feed(joiner, [*lanes[2], *merge([0, 1] * 10, lanes[:2])])
+    assert joiner.counts['twofold'] == 6
+
+
+def test_a_twist_that_is_not_what_step_says_is_learned_from_where_it_is_the_only_one():
+    """A simulator may mean something else by these names; `bag verify` tells of it."""
+    images, steps, twists = drive(episodes=1, decisions=6)
+    steps = [(kind, stamp, saying(step, Command(0.7, 0.7))) for kind, stamp, step in steps]
+    # another one of the first stamp is waited for, and then no more: the last has no successor
+    joined = feed(TransitionJoiner(), merge([0, 1, 2] * 10, (images, steps, twists[:6])))
+    assert [one.command for one in joined] == [command for _, _, command in twists[:6]]
+
+
+def test_a_command_beyond_what_a_simulator_takes_is_the_one_that_it_says():
+    images, steps, twists = drive(episodes=1, decisions=2)
+    twists = [('twist', stamp, Command(3.0, 0.0)) for _, stamp, _ in twists]
+    steps = [(kind, stamp, saying(step, Command(1.0, 0.0))) for kind, stamp, step in steps]
+    # none is waited for: the last twist is not there
+    assert len(feed(TransitionJoiner(), [*images, *steps, *twists[:2]])) == 2
+
+
+def test_a_flood_of_twists_of_one_stamp_takes_no_memory_and_hides_none():
+    (images, steps, _), _ = with_rival(applied=0)
+    stamp = steps[0][1]
+    joiner = TransitionJoiner()
+    joined = feed(joiner, images[:2])
+    for number in range(10_000):
+        joiner.add_twist(stamp, Command(0.5, number / 10_000))
+    assert len(joiner._twists[stamp]) < 10
+    joiner.add_twist(stamp, Command(0.25, 0.25))
+    joined += feed(joiner, [steps[0], ('step', steps[1][1], saying(
+        steps[1][2], Command(0.25, 0.25)))])
+    assert [one.command for one in joined] == [Command(0.25, 0.25)]
+
+
+@settings(deadline=None)
+@given(strategies.lists(strategies.booleans(), max_size=60))
+def test_two_simulators_under_one_name_are_never_mixed(order):
+    """Both begin at the same time, as simulators do, and one driver answers both."""
+    drives = [merge([0, 1, 2] * 20, drive()), merge([0, 1, 2] * 20, [
+        [(kind, stamp, content if kind == 'twist' else content + 100 if kind == 'image' else
+          dataclasses.replace(content, reward=content.reward + 100))
+         for kind, stamp, content in lane] for lane in drive()])]
+    lines = [iter(one) for one in drives]
+    mixed = [message for which in order for message in itertools.islice(lines[which], 1)]
+    joiner = TransitionJoiner()
+    for one in feed(joiner, [*mixed, *lines[0], *lines[1]]):
+        assert len({one.frame[0, 0, 0] < 100, one.next_frame[0, 0, 0] < 100,
+                    one.step.reward < 100}) == 1
+
+
+def test_nothing_follows_the_end_of_an_episode():
+    """A simulator that does not count its episodes begins another, elsewhere on the track."""
+    images, steps, twists = drive(episodes=1, decisions=8)
+    kind, stamp, step = steps[4]
+    steps[4] = kind, stamp, dataclasses.replace(step, truncated=True)
+    joiner = TransitionJoiner()
+    joined = feed(joiner, merge([0, 1, 2] * 20, (images, steps, twists)))
+    assert [one.step.decision for one in joined] == [1, 2, 3, 4, 6, 7, 8]
+    assert joiner.counts['after_end'] == 1
+
+
+def test_a_twist_that_is_held_for_seconds_is_not_lost():
+    images, steps, twists = drive(episodes=1, decisions=40)
+    held = twists[3][1]
+    steps = [(kind, stamp, step if step.decision < 5 else dataclasses.replace(step, applied=held))
+             for kind, stamp, step in steps]
+    joiner = TransitionJoiner()
+    joined = feed(joiner, merge([0, 1, 2] * 50, (images, steps, twists)))
+    assert len(joined) == 40 and joined[-1].command == twists[3][2]
+    assert len(joiner._twists) < 45
+
+
 def test_time_that_goes_back_joins_nothing_across_the_break():
     messages = merge(list(range(3)) * 10, drive())
     joiner = TransitionJoiner()

@@ -3,6 +3,11 @@
 """`carracing check`: what does not fit is named, with the parameter that mends it."""
 from __future__ import annotations
 
+import _thread
+import threading
+import time
+
+from carracing_dqn.bringup.check_node import look
 from carracing_dqn.bringup.command import main
 from carracing_dqn.simulation import make_simulator
 from carracing_dqn.simulation.fit import (
@@ -10,9 +15,17 @@ from carracing_dqn.simulation.fit import (
     Wanted,
 )
 from carracing_dqn.simulation.picture_motion import sideways_shift, turned_left
+from dqn_policy_node.settings import PolicySettings
+from geometry_msgs.msg import TwistStamped
+from msgs_bridge.images import fill_image
+from msgs_bridge.listening_node import node_of_a_command
+from msgs_bridge.qos import qos_profile
+from msgs_bridge.topics import CMD_VEL, IMAGE
 from msgs_bridge.twists import Command
 import numpy as np
 import pytest
+import rclpy
+from sensor_msgs.msg import Image
 
 RANDOM = np.random.default_rng(0)
 WORLD = np.repeat(np.repeat(RANDOM.integers(0, 255, (40, 60, 3), np.uint8), 4, 0), 4, 1)
@@ -48,6 +61,13 @@ def test_a_car_that_fits_is_told_so():
         [one.reshape(-1, 3).mean(0) for _, series in good().frames for one in series], 0)]
     camera = {'width': 96, 'height': 96, 'encoding': 'rgb8', 'rate': 50, 'mean_rgb': mean}
     assert {one.verdict for one in verdicts(good(), (), camera).values()} == {GOOD}
+
+
+def test_a_camera_that_compresses_is_not_said_to_send_nothing():
+    seen = good(image_types=[COMPRESSED_TYPE], encodings={'jpeg'}, sizes=set())
+    found = verdicts(seen, {'camera_compressed': True})
+    assert BAD not in {one.verdict for one in found.values()}
+    assert found['size'].verdict == UNSURE and 'the model sees 96x96' in found['size'].found
 
 
 NOTHING = {'arrivals': [], 'stamps': [], 'image_types': []}
@@ -153,3 +173,39 @@ def test_a_profile_with_something_else_in_it_is_one_line(tmp_path, capsys, text)
     path.write_text(text)
     assert main(['check', str(path)]) == 2
     assert capsys.readouterr().err.count('\n') == 1
+
+
+def test_a_car_that_is_nudged_stands_after_ctrl_c():
+    space = '/nudged'
+    node, executor = node_of_a_command('car', space)
+    images = node.create_publisher(Image, IMAGE.name, qos_profile(IMAGE))
+    heard, done = [], threading.Event()
+
+    def on_twist(message):
+        heard.append((message.twist.linear.x, message.twist.angular.z))
+        if len(heard) == 1:
+            _thread.interrupt_main()
+
+    node.create_subscription(TwistStamped, CMD_VEL.name, on_twist, qos_profile(CMD_VEL))
+
+    def drive():
+        number = 0
+        while not done.is_set():
+            number += 1
+            images.publish(fill_image(
+                Image(), np.zeros((96, 96, 3), np.uint8), number * 50_000_000, ''))
+            executor.spin_once(timeout_sec=0.05)
+
+    car = threading.Thread(target=drive)
+    car.start()
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            look(PolicySettings(), (96, 96), namespace=space, remaps={}, seconds=60.0, nudge=True)
+        until = time.monotonic() + 10.0
+        while heard[-1] != (0.0, 0.0) and time.monotonic() < until:
+            time.sleep(0.05)
+        assert heard[0] != (0.0, 0.0) and heard[-1] == (0.0, 0.0)
+    finally:
+        done.set()
+        car.join()
+        rclpy.try_shutdown(context=node.context)

@@ -4,6 +4,7 @@
 import errno
 import io
 import re
+import shutil
 import subprocess
 import sys
 
@@ -11,14 +12,20 @@ from carracing_dqn.bringup import command
 from carracing_dqn.bringup.command import main
 from carracing_dqn.bringup.curve import Curve, MOST_POINTS, past_returns
 from carracing_dqn.bringup.display import Display
+from carracing_dqn.bringup.models import as_parameter, choose_model
 from carracing_dqn.bringup.monitor import GraphState
 from carracing_dqn.bringup.run_command import laps_line, laps_table
 from carracing_dqn.bringup.training_display import training_line, training_table
+from carracing_dqn.evaluation.laps import Lap
+from carracing_dqn.evaluation.policies import model_source
+from carracing_dqn.evaluation.progress import LapProgress
 from carracing_dqn.bringup.graph import POLICY, SIMULATOR, TRAINER
 from carracing_dqn.watch.painting import spark
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from dqn_policy_node import load_policy
+from dqn_policy_node.shipped_models import find_model, RANDOM
 from msgs_bridge.settings import describe
+from msgs_bridge.share import share_path
 from msgs_bridge.step import EPISODE_CORE, VALIDATION_FIELDS
 import pytest
 from rich.console import Console
@@ -47,6 +54,7 @@ def own_folder(tmp_path, monkeypatch):
     (['train', '--set', 'network=foo'], 'carracing train --list prints every name'),
     (['train', '--set', 'gamma=2'], 'gamma is 2.0; accepted: 0 to 1; carracing train --list'),
     (['train', '--set', 'gama=0.9'], "did you mean 'gamma'"),
+    (['train', '--set', 'simulator=a,b.yaml'], 'a comma stands between settings and in none'),
     (['train', '--resume', 'x', '--preset', 'racing'], '--resume goes on in its own folder'),
     (['train', '--bag', '--from-bag', 'x'], '--bag records a graph'),
     (['train', '--from-bag', 'nowhere'], 'nowhere'),
@@ -62,6 +70,24 @@ def test_wrong_input_is_one_line_and_leaves_nothing(words, told, capsys, tmp_pat
     assert said.err.startswith('error: ') and told in said.err and said.err.count('\n') == 1
     assert said.err.rstrip('\n').isprintable() and not said.out
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize('words', [['--version'], ['--vers'], ['--version', 'run']])
+def test_the_version_is_printed_whatever_follows(words, capsys):
+    assert main(words) == 0
+    assert capsys.readouterr().out.startswith('carracing ')
+
+
+@pytest.mark.parametrize('term', ['dumb', 'unknown'])
+def test_a_terminal_that_cannot_move_its_cursor_is_told_by_lines(monkeypatch, term):
+    monkeypatch.setenv('TERM', term)
+    console = Console(file=io.StringIO(), force_terminal=True, width=80)
+    with Display(GraphState(), laps_table, laps_line, console) as display:
+        display.update()
+        assert 'driving: starting' in console.file.getvalue()
+    with LapProgress([], 2, console) as progress:
+        progress.add(Lap(5, 900.0, 700))
+        assert 'lap 1 of 2' in console.file.getvalue()
 
 
 def test_tensorboard_is_missed_before_anything_is_made(capsys, tmp_path, monkeypatch):
@@ -125,6 +151,19 @@ def test_a_module_of_ours_that_is_missing_is_a_fault_and_shows_where(monkeypatch
 
 def test_a_shipped_model_is_found_by_its_name():
     assert load_policy('racing').description.action_space.names
+
+
+def test_a_folder_is_not_taken_for_a_name(tmp_path):
+    shipped = share_path('models/racing')
+    assert as_parameter(str(shipped), '.') == 'racing'
+    for name in ('racing', 'random', '~here'):
+        shutil.copytree(share_path('models/report'), tmp_path / name)
+    # where a node finds a folder of that name first
+    assert (tmp_path / as_parameter(str(shipped), '.')).samefile(shipped)
+    for name in ('racing', 'random', '~here'):
+        chosen = choose_model(f'./{name}')
+        assert chosen != RANDOM and find_model(as_parameter(chosen, '.')).samefile(name)
+        assert model_source(f'./{name}').model != RANDOM
 
 
 HOSTILE = '[/x][red]\x1b]52;c;aGk=\x07:boom:'

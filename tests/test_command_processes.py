@@ -7,9 +7,11 @@ from pathlib import Path
 import signal
 import subprocess
 import sys
+import tempfile
 import textwrap
 import time
 
+from carracing_dqn.bringup import supervise
 from carracing_dqn.bringup.graph import (
     ANNOTATOR, cars_graph, driving_graph, KINDS, race_graph, REFEREE, replay_graph, TELEOP,
     training_graph,
@@ -39,6 +41,45 @@ def start(group, name, code, *, keeps=False, words=(), **options):
     path.write_text(f'import os, signal, sys, time\ndef main():\n{body}\n')
     command = node_command(name, {}, **{'supervised': True, **options})
     return group.start(name, [*command, *words], keeps=keeps)
+
+
+def test_a_folder_may_begin_with_a_dash(group, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path('-x').mkdir()
+    child = start(group, 'here', 'print(os.getcwd(), flush=True)', folder='-x')
+    assert child.process.wait(30) == 0
+    child._reader.join()
+    assert list(child.words) == [str(tmp_path / '-x')]
+
+
+def test_two_commands_that_start_at_once_do_not_drive_in_one_namespace(tmp_path, monkeypatch):
+    monkeypatch.setenv('TMPDIR', str(tmp_path))
+    monkeypatch.setattr(tempfile, 'tempdir', None)
+    other = subprocess.Popen([sys.executable, '-c', (
+        'from carracing_dqn.bringup import supervise\n'
+        "supervise._take_place('/one/')\nprint('taken', flush=True)\ninput()\n"
+        "supervise._leave_places()\nprint('left', flush=True)\ninput()")],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    try:
+        assert other.stdout.readline() == 'taken\n'
+        with pytest.raises(BridgeError, match='runs on this ROS domain already'):
+            supervise._take_place('/one')
+        supervise._take_place('/two')
+        supervise._take_place('/two')
+        other.stdin.write('\n')
+        other.stdin.flush()
+        assert other.stdout.readline() == 'left\n'
+        supervise._take_place('/one')
+    finally:
+        supervise._leave_places()
+        other.kill()
+        other.communicate()
+
+
+def test_a_log_that_is_a_fifo_is_not_waited_for(group):
+    os.mkfifo(group.log_folder / 'stuck.log')
+    with pytest.raises(BridgeError, match='stuck cannot be started'):
+        start(group, 'stuck', 'return 0')
 
 
 def waits(graph):

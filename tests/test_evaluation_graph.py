@@ -1,6 +1,7 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
 """The same laps over topics."""
+import dataclasses
 from pathlib import Path
 import signal
 
@@ -9,6 +10,7 @@ from carracing_dqn.evaluation.errors import EvaluationError
 from carracing_dqn.evaluation.lap_series import drive_laps
 from carracing_dqn.evaluation.policies import PolicySource
 from carracing_dqn.evaluation.through_graph import consecutive, drive_laps_through_graph
+from dqn_policy_node.model_folder import Model, save_model
 from dqn_policy_node.network import QNetwork
 from dqn_policy_node.weights_message import encode_weights
 from msgs_bridge import topics
@@ -16,6 +18,7 @@ from msgs_bridge.errors import BridgeError
 from msgs_bridge.step import EPISODE_CORE
 import pytest
 from std_msgs.msg import UInt8MultiArray
+import torch
 from trainer_node.hyperparameters import Hyperparameters
 
 MODEL = PolicySource('model', 'some_model')
@@ -53,6 +56,42 @@ def test_laps_that_were_not_asked_for_are_noticed(driven, message):
         list(drive_laps_through_graph(MODEL, [5, 6], lambda *_: map(summary, driven)))
 
 
+@pytest.mark.parametrize('frames', [float('nan'), float('inf'), 0.0, -5.0, 1e9, None])
+def test_laps_of_no_length_are_noticed(frames):
+    told = {**summary(5), 'step': frames}
+    if frames is None:
+        del told['step']
+    with pytest.raises(EvaluationError, match='says that track 5 took'):
+        list(drive_laps_through_graph(MODEL, [5], lambda *_: iter([told])))
+
+
+def test_values_that_nobody_need_say_are_left_out_where_they_cannot_be():
+    told = {**summary(5), 'tiles_total': 0.0, 'standing_still': float('inf'),
+            'lap_finished': float('nan')}
+    found, = drive_laps_through_graph(MODEL, [5], lambda *_: iter([told]))
+    assert (found.tiles_total, found.tiles_visited, found.standing_still, found.lap_finished) == (
+        None, None, None, None)
+
+
+def test_a_model_that_is_replaced_meanwhile_is_not_taken_for_the_one_before(tmp_path):
+    torch.manual_seed(1)
+    description = Hyperparameters().model_description()
+
+    def save():
+        save_model(tmp_path / 'best', Model(
+            description, dict(QNetwork(description).state_dict())))
+
+    save()
+    source = PolicySource('model', str(tmp_path / 'best'))
+    source = dataclasses.replace(source, weights_sha256=source.identity()['weights_sha256'])
+    source.open()
+    save()
+    with pytest.raises(EvaluationError, match='was replaced by another version'):
+        source.open()
+    with pytest.raises(EvaluationError, match='was replaced by another version'):
+        list(drive_laps_through_graph(source, [5], lambda *_: map(summary, [5])))
+
+
 def test_what_the_graph_cannot_do_is_said(tmp_path):
     with pytest.raises(EvaluationError, match='no node'):
         list(drive_laps_through_graph(PolicySource('a:b'), [1], None))
@@ -60,6 +99,8 @@ def test_what_the_graph_cannot_do_is_said(tmp_path):
         list(drive_laps_through_graph(MODEL, [1, 3], None, bag=tmp_path / 'bag'))
     with pytest.raises(BridgeError, match='exists already'):
         list(run_graph('random', range(1), tmp_path))
+    with pytest.raises(BridgeError, match='there is no folder'):
+        list(run_graph('random', range(1), tmp_path / 'no' / 'bag'))
 
 
 def test_laps_over_topics_are_those_in_process(tmp_path):

@@ -4,7 +4,7 @@
 from pathlib import Path
 import shutil
 
-from carracing_dqn.evaluation.model_card import CARD, model_card
+from carracing_dqn.evaluation.model_card import CARD, main, model_card
 from dqn_policy_node.shipped_models import shipped_models
 import pytest
 
@@ -33,3 +33,14 @@ def test_a_card_follows_the_record(tmp_path):
     card = model_card(folder)
     assert '## Test' not in card
     assert 'One training run' in card and 'It learned in `mujoco_car`' in card
+
+
+@pytest.mark.parametrize('record', ['{}', '{"sessions": [], "seeds": 5}', '[]'])
+def test_a_record_that_is_not_whole_is_one_line(tmp_path, capsys, record):
+    shutil.copytree(MODELS / 'mujoco_car', tmp_path / 'mine')
+    before = (tmp_path / 'mine' / CARD).read_bytes()
+    (tmp_path / 'mine/record/run.json').write_text(record)
+    assert main([str(tmp_path / 'mine')]) == main([str(tmp_path / 'nowhere')]) == 2
+    said = capsys.readouterr().err.splitlines()
+    assert len(said) == 2 and 'the record of its training is not whole' in said[0]
+    assert (tmp_path / 'mine' / CARD).read_bytes() == before

@@ -1,11 +1,16 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
 """Runs that are being written, cut off, empty or odd: what is there is shown, the rest named."""
+import json
+import os
+
+from carracing_dqn.evaluation.comparison import compare
 from carracing_dqn.evaluation.errors import RecordsError, ResultsError
 from carracing_dqn.evaluation.records import add_results, load_run
 from carracing_dqn.evaluation.results import write_json
 from carracing_dqn.evaluation.tables import read_table
 from evaluation_cases import EPISODES, results, write_run
+from msgs_bridge.yaml_text import dump_yaml
 import numpy as np
 import pytest
 
@@ -55,6 +60,7 @@ def test_a_run_that_goes_on_says_so(tmp_path):
     ('a,b\n1,2\n3\n4,5,6\n', 'x.csv: 2 rows with another number of cells than the header left'),
     ('a,b\n1,two\n3,inf\n', 'x.csv: 2 rows in which b is no number.'),
     ('a,b\n1,2', 'x.csv ends in the middle of a row'),
+    ('a,b\n1,1e308\n1,-1e308\n', 'x.csv: 2 rows in which b is no number.'),
 ])
 def test_odd_tables_are_read_as_far_as_they_go(tmp_path, text, problem):
     (tmp_path / 'x.csv').write_text(text)
@@ -67,7 +73,7 @@ def test_a_table_that_is_not_there_is_named(tmp_path):
     table, problems = read_table(tmp_path / 'x.csv', ('a',))
     assert table.rows == 0 and problems == ['x.csv is not there.']
     (tmp_path / 'x.csv').mkdir()
-    assert 'cannot be read' in read_table(tmp_path / 'x.csv', ('a',))[1][0]
+    assert 'not a regular file' in read_table(tmp_path / 'x.csv', ('a',))[1][0]
 
 
 def test_bytes_that_are_no_text_do_no_harm(tmp_path):
@@ -126,5 +132,60 @@ def test_laps_that_are_given_take_the_place_of_those_found(tmp_path):
     add_results(run, tmp_path / 'other.json')
     assert run.evaluation.statistics.mean == 805
     assert run.problems == ['other.json holds 2 of 10 laps.']
-    with pytest.raises(ResultsError, match='No such file'):
+    with pytest.raises(ResultsError, match='no such file'):
         add_results(run, tmp_path / 'none.json')
+
+
+@pytest.mark.parametrize('name', [
+    'episodes.csv', 'validation.csv', 'updates.csv', 'config.yaml', 'run.json',
+    'evaluation.json'])
+def test_a_file_that_never_ends_is_a_problem_and_no_end(tmp_path, name):
+    folder = write_run(tmp_path / 'run', [1, 2], test=[900])
+    (folder / name).unlink()
+    os.mkfifo(folder / name)
+    assert any(name in problem for problem in load_run(folder).problems)
+
+
+@pytest.mark.parametrize('config', [
+    'a: &a [1, 1]\nb: [*a, *a]\n', 'gamma: 1\ngamma: 2\n', 'gamma: !!float x\n'])
+def test_settings_that_would_unfold_or_are_no_yaml_are_a_problem(tmp_path, config):
+    folder = write_run(tmp_path / 'run', [1])
+    (folder / 'config.yaml').write_text(config)
+    run = load_run(folder)
+    assert run.config == {} and 'config.yaml cannot be used' in run.problems[0]
+
+
+@pytest.mark.parametrize('value', ['often', [1], {'a': 1}, float('nan'), 10**70, None, True])
+def test_no_setting_ends_the_comparison(tmp_path, value):
+    folder = write_run(tmp_path / 'run', [1, 2])
+    (folder / 'config.yaml').write_text(dump_yaml(dict.fromkeys((
+        'gamma', 'epsilon_decay', 'epsilon_schedule', 'epsilon_decisions', 'target_every',
+        'validation_every_minutes', 'patience_episodes', 'learning_rate_schedule'), value)
+        | {'validation_every_episodes': 0}))
+    assert all(len(measured.text) < 200 for _, measured in compare(load_run(folder)))
+
+
+def test_a_time_of_any_size_is_none_or_bounded(tmp_path):
+    folder = write_run(tmp_path / 'run', [1, 2])
+    for value in (10**400, float('inf'), float('nan'), -1, 'long'):
+        (folder / 'run.json').write_text(json.dumps({'wall_seconds': value}))
+        assert 0 <= load_run(folder).wall_seconds <= 1e12
+
+
+def test_laps_in_another_simulator_are_not_those_of_the_run(tmp_path):
+    folder = write_run(tmp_path / 'run', [1], test=[900])
+    elsewhere = results([300])
+    elsewhere.simulator = 'racetrack'
+    write_json(folder / 'evaluation-later.json', elsewhere)
+    run = load_run(folder)
+    assert run.evaluation.statistics.mean == 900
+    assert 'holds laps in racetrack, and run learned in carracing' in run.problems[0]
+    (folder / 'config.yaml').write_text('simulator: racetrack\n')
+    assert load_run(folder).evaluation.statistics.mean == 300
+
+
+def test_which_laps_are_shown_is_said(tmp_path):
+    folder = write_run(tmp_path / 'run', [1], test=[900])
+    write_json(folder / 'evaluation_2.json', results([300]))
+    assert load_run(folder).problems == [
+        'There are several files of laps; evaluation_2.json is shown.']

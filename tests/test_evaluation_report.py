@@ -186,10 +186,44 @@ def test_runs_of_one_name_are_told_apart(tmp_path, no_figures):
         'run (a)', 'run (b)']
 
 
+@pytest.mark.parametrize('name', ['a$\\frac$b', '_hidden', '$', 'n\udcff', 'ρ-赛车'])
+def test_any_name_of_a_folder_stands_in_its_report(tmp_path, recwarn, monkeypatch, name):
+    monkeypatch.setattr('carracing_dqn.evaluation.report_page.FIGURES', FIGURES[1:2])
+    run = write_run(tmp_path / name, CURVE, dummy=[-60])
+    assert carracing(['report', str(run), '--output', str(tmp_path / 'out')]) == 0
+    shown = name.replace('\udcff', '?')
+    assert f'<h1>{shown}</h1>' in (tmp_path / 'out/report.html').read_text()
+    assert not [one for one in recwarn if 'Glyph' in str(one.message)]
+
+
+@pytest.mark.parametrize('name', ['_hidden', 'a$\\frac$b'])
+def test_a_run_of_any_name_stands_in_the_legend(tmp_path, name):
+    run = load_run(write_run(tmp_path / name, CURVE, validations=VALIDATIONS))
+    legend, = draw(FIGURES[1], [run]).legends
+    assert legend.get_texts()[0].get_text().strip() == name.replace('$', r'\$')
+
+
+@pytest.mark.parametrize('returns', [[2.0**53, -(2.0**53)], [2.0**53], [1e10, 1e10]])
+def test_returns_of_any_size_are_drawn_in_few_bars(tmp_path, returns):
+    kind, = [one for one in FIGURES if one.name == 'figure_4_reward_distribution']
+    axes, = draw(kind, [load_run(write_run(tmp_path / 'run', [1], test=returns))]).axes
+    assert 1 <= len(axes.patches) < 200
+
+
+def test_halves_of_signs_in_records_do_no_harm(tmp_path, no_figures):
+    run = whole_run(tmp_path / 'run')
+    (run / 'run.json').write_text(r'{"started": "\ud800", "complete": true}')
+    assert carracing(['report', str(run)]) == 0
+    assert 'started' in (run / 'report/report.html').read_text()
+
+
 @pytest.mark.parametrize(('words', 'message'), [
     (['/no/such/run'], 'no such run folder'),
     (['{run}', '--against', '/no/such/run'], 'no such run folder'),
-    (['{run}', '--evaluation', '/no/such.json'], 'No such file'),
+    (['{run}', '--evaluation', '/no/such.json'], 'no such file'),
+    (['{run}', '--evaluation', '{run}/dummy.json'], 'laps of a model are wanted'),
+    (['{run}', '--dummy', '{run}/evaluation.json'], 'laps of random are wanted'),
+    (['{run}', '--laps', '1000000000000'], '--laps is 1000000000000; accepted: 0 to 1000'),
     (['{run}', '--laps', '-1'], '--laps is -1'),
     (['{run}', '--output', '/proc/nowhere'], 'cannot be made'),
 ])

@@ -4,12 +4,17 @@
 import argparse
 import csv
 import json
+import math
+import os
+from pathlib import Path
 
 from carracing_dqn.bringup.command import main as carracing
 from carracing_dqn.evaluation import evaluate_command
 from carracing_dqn.evaluation.errors import EvaluationError, ResultsError
 from carracing_dqn.evaluation.policies import PolicySource
-from carracing_dqn.evaluation.results import COLUMNS, read_json, resume, write_csv, write_json
+from carracing_dqn.evaluation.results import (
+    COLUMNS, locked, read_json, resume, write_csv, write_json,
+)
 from evaluation_cases import results
 import pytest
 
@@ -58,11 +63,51 @@ def test_a_file_that_is_something_else_is_named(tmp_path, text, message):
 def test_a_lap_with_a_missing_or_wrong_value_is_damage(tmp_path):
     write_json(tmp_path / 'r.json', results([700]))
     values = json.loads((tmp_path / 'r.json').read_text())
-    for change in ({'episode_return': None}, {'tiles_total': 0}, {'frames': 'many'}):
-        values['laps'][0] |= change
-        (tmp_path / 'r.json').write_text(json.dumps(values))
+    for change in (
+            {'episode_return': None}, {'tiles_total': 0}, {'frames': 'many'},
+            {'episode_return': math.nan}, {'episode_return': math.inf}, {'frames': math.inf},
+            {'frames': 10**400}, {'seed': 1.5}, {'seed': True}, {'tiles_visited': None},
+            {'tiles_visited': 301}, {'tiles_visited': -1}, {'lap_finished': 2}):
+        laps = [values['laps'][0] | change]
+        (tmp_path / 'r.json').write_text(json.dumps({**values, 'laps': laps}))
         with pytest.raises(ResultsError, match='damaged'):
             read_json(tmp_path / 'r.json')
+
+
+def test_a_seed_that_comes_twice_is_damage(tmp_path):
+    write_json(tmp_path / 'r.json', results([700]))
+    values = json.loads((tmp_path / 'r.json').read_text())
+    (tmp_path / 'r.json').write_text(json.dumps({**values, 'laps': 2 * values['laps']}))
+    with pytest.raises(ResultsError, match='a seed comes twice'):
+        read_json(tmp_path / 'r.json')
+
+
+def test_a_file_that_never_ends_is_refused(tmp_path):
+    os.mkfifo(tmp_path / 'r.json')
+    with pytest.raises(ResultsError, match='not a regular file'):
+        read_json(tmp_path / 'r.json')
+
+
+def test_laps_of_another_policy_are_not_gone_on_with(tmp_path):
+    made = results([700])
+    made.policy = {'kind': 'custom', 'name': 'mine:drive'}
+    write_json(tmp_path / 'r.json', made)
+    seeds = range(100_000, 100_010)
+    assert resume(tmp_path / 'r.json', made.policy, 'gymnasium', seeds).laps
+    with pytest.raises(ResultsError, match="name is 'mine:drive' there, 'mine:park' here"):
+        resume(tmp_path / 'r.json', {**made.policy, 'name': 'mine:park'}, 'gymnasium', seeds)
+
+
+def test_two_commands_do_not_write_laps_into_one_file(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(evaluate_command.time, 'strftime', lambda _: 'now')
+    with locked('r.json'):
+        assert evaluate('--policy', 'random', '--episodes', 1, '--json', 'r.json') == 2
+    assert 'r.json: another process writes its laps there' in capsys.readouterr().err
+    Path('runs').mkdir()
+    with locked('runs/evaluate-random-now.json'):
+        assert evaluate('--policy', 'random', '--episodes', 1) == 0
+    assert os.listdir('runs') == ['evaluate-random-now-1.json']
+    assert os.listdir() == ['runs']
 
 
 def test_laps_of_another_evaluation_are_not_gone_on_with(tmp_path):
@@ -106,6 +151,22 @@ def test_ctrl_c_keeps_the_laps(tmp_path, monkeypatch, capsys):
     assert json.loads(path.read_text())['complete'] is False
 
 
+def test_ctrl_c_in_the_middle_of_writing_loses_no_lap(tmp_path, monkeypatch):
+    write, calls = evaluate_command.write_json, []
+
+    def interrupted(path, found):
+        calls.append(path)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        write(path, found)
+
+    monkeypatch.setattr(evaluate_command, 'write_json', interrupted)
+    monkeypatch.setattr(evaluate_command, 'drive_laps',
+                        lambda *_, **__: (lap for lap in results([700, 800]).ordered))
+    assert evaluate('--policy', 'random', '--json', 'r.json') == 130
+    assert len(read_json('r.json').laps) == 2
+
+
 def test_laps_are_kept_without_being_asked_for(tmp_path, monkeypatch, capsys):
     def interrupted(source, seeds, **_):
         yield from list(results([700, 800]).laps.values())
@@ -124,7 +185,7 @@ def test_laps_of_the_model_of_a_run_are_kept_with_the_run(tmp_path):
     source = PolicySource('model', str(tmp_path / 'run' / 'best'))
     assert source.run_folder is None
     (tmp_path / 'run' / 'episodes.csv').touch()
-    assert evaluate_command._new_file(source).parent == tmp_path / 'run'
+    assert next(evaluate_command._new_files(source)).parent == tmp_path / 'run'
 
 
 def test_a_place_that_cannot_be_written_is_said_before_anything_is_driven(monkeypatch, capsys):
@@ -137,11 +198,20 @@ def test_a_place_that_cannot_be_written_is_said_before_anything_is_driven(monkey
 @pytest.mark.parametrize(('words', 'message'), [
     (['--model', 'racing', '--policy', 'random'], 'only one can drive'),
     (['--episodes', 0], 'episodes is 0'), (['--processes', 0], 'processes is 0'),
+    (['--episodes', 2**31], 'episodes is 2147483648; accepted: 1 to 100000'),
+    (['--processes', 10**9], 'processes is 1000000000; accepted: 1 to'),
+    (['--through-graph', '--simulator', 'racetrack'], 'and not in racetrack'),
+    (['--csv', '/dev/null'], '/dev/null cannot be written: it is no file'),
+    (['--json', '/dev/null'], '/dev/null cannot be written: it is no file'),
+    (['--json', './r.csv', '--csv', 'r.csv'], 'are both r.csv'),
     (['--seed', -1], 'seed is -1'), (['--seed', 2**31], 'seed is'),
     (['--action-repeat', 51], 'action-repeat is 51'), (['--action-repeat', 2], 'for models'),
     (['--bag', 'x'], 'through-graph'), (['--json', '/no/such/folder/r.json'], 'no folder'),
     (['--policy', 'me'], 'accepted:'),
     (['--policy', 'evaluation_cases:not_finite'], 'answered (nan'),
+    (['--policy', 'evaluation_cases:fail'], 'failed in act: RuntimeError: a fault of its own'),
+    (['--policy', 'evaluation_cases:leave'], 'failed in act: SystemExit: 0'),
+    (['--policy', 'evaluation_cases:Unmade'], 'failed in its making: OSError: no hands'),
     (['--model', 'no_such_model'], 'no_such_model'),
 ])
 def test_bad_options_are_one_line_and_code_2(words, message, capsys, tmp_path):

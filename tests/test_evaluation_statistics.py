@@ -3,7 +3,7 @@
 """Statistics against numbers worked out by hand."""
 from carracing_dqn.evaluation.errors import EvaluationError
 from carracing_dqn.evaluation.statistics import (
-    mean_interval, moving_average, share_interval, statistics_of,
+    mean_interval, moving_average, percent, share_interval, statistics_of,
 )
 from evaluation_cases import lap
 import numpy as np
@@ -82,3 +82,10 @@ def test_moving_average_leaves_gaps_out():
     nan = float('nan')
     averages = moving_average(np.array([nan, 2.0, nan, 4, nan, nan]), 2)
     np.testing.assert_equal(averages, [nan, 2, 2, 4, 4, nan])
+
+
+@pytest.mark.parametrize(('share', 'text'), [
+    (0.0, '0%'), (1.0, '100%'), (0.5, '50%'), (0.997, '99.7%'), (0.9999, '99.9%'),
+    (0.004, '0.4%'), (1e-9, '0.1%'), (299 / 300, '99.7%')])
+def test_all_and_none_are_said_of_all_and_none_alone(share, text):
+    assert percent(share) == text

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import importlib.util
 from pathlib import Path
+import sys
+import types
 
 from carracing_dqn.evaluation.lap_series import drive_laps
 from carracing_dqn.evaluation.policies import parse_policy
@@ -55,6 +57,18 @@ def test_a_command_becomes_an_action_of_any_space(space, mapping, expected):
     else:
         wanted = np.array(expected, space.dtype)
     assert np.array_equal(flat, spaces.flatten(space, wanted))
+
+
+@pytest.mark.parametrize(('space', 'linear', 'expected'), [
+    (spaces.Box(-2, 2, (1,), np.int8), 0.9, 2), (spaces.Box(-2, 2, (1,), np.int8), 0.2, 0),
+    (spaces.Box(-2, 2, (1,), np.int8), -0.9, -2), (spaces.Box(0, 255, (1,), np.uint8), 1.0, 2),
+    (spaces.Box(-2**63, 2**63 - 2, (1,), np.int64), 1.0, 2)])
+def test_whole_numbers_are_the_nearest(space, linear, expected):
+    action = action_encoder(space, {'linear': 2.0})(Command(linear, 0.0))
+    assert space.contains(action) and action == expected
+    # and those beyond all bounds are the bounds
+    for weight, bound in ((1e300, space.high), (-1e300, space.low)):
+        assert action_encoder(space, {'linear': weight})(Command(1.0, 0.0)) == bound
 
 
 @hypothesis_settings(deadline=None, max_examples=50)
@@ -135,6 +149,7 @@ def test_an_observation_can_be_the_picture():
     ({'environment_options': '[1]'}, 'a mapping of names to values'),
     ({'environment_options': '{'}, 'not valid YAML'),
     ({'environment_options': '{no_such_option: 1}'}, 'no_such_option'),
+    ({'environment_options': '{render_mode: human}'}, "render_mode is 'human'; accepted"),
     ({'environment': 'MountainCar-v0', 'action': '{nearest: [[0, 0]]}'}, 'a list of 3 commands'),
     ({'picture': 'observation'}, 'its observation is no image'),
     ({'picture': 'observation.camera'}, "no 'camera' in the observation"),
@@ -198,6 +213,47 @@ def test_what_an_environment_raises_is_one_line_that_names_it():
         simulator.advance(Command(0, 0), 5)
 
 
+class Camera(Raises):
+    """An image is all that it gives; it has no render_mode, and cannot be closed."""
+
+    observation_space = spaces.Box(0, 255, (20, 20), np.uint8)
+    info = {'speed': 10**400}
+
+    def __init__(self):
+        super().__init__()
+        self.drawn = np.zeros((20, 20), np.uint8)
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.drawn[:] = 0
+        return self.drawn, self.info
+
+    def step(self, action):
+        self.drawn += 1
+        return self.drawn, np.float32(0.1), np.False_, np.False_, self.info
+
+    def close(self):
+        raise ConnectionError('nobody is there')
+
+
+def test_an_environment_that_cannot_render_is_seen_by_its_observation():
+    gymnasium.register('Camera-v0', entry_point=Camera)
+    settings = {'environment': 'Camera-v0', 'picture': 'observation', 'picture_size': '',
+                'action': '{linear: 1}'}
+    simulator = made(**settings, info='{speed: "info.speed?"}')
+    frames = [simulator.reset(1), *(simulator.advance(Command(0, 0)) for _ in range(3))]
+    # it draws into one array
+    assert [frame.pixels[0, 0].tolist() for frame in frames] == [[n] * 3 for n in range(4)]
+    assert frames[-1].reward == np.float32(0.1) and frames[-1].info == {'speed': 0.0}
+    with pytest.raises(SimulatorError, match='speed: info.speed is no number'):
+        simulator = made(**settings, info='{speed: info.speed}')
+        simulator.reset(1)
+        simulator.advance(Command(0, 0))
+    # what is told is why it was closed, not that it could not be
+    with pytest.raises(SimulatorError, match='must be a mapping of linear'):
+        made(**{**settings, 'action': '{lineal: 1}'})
+
+
 def available(name):
     """Return a profile's simulator, or skip where its extra is missing."""
     try:
@@ -250,11 +306,16 @@ def test_a_profile_that_is_none_is_one_line(tmp_path, text, told):
     assert '\n' not in str(error.value)
 
 
-def test_what_a_profile_needs_is_said_with_how_to_install_it(tmp_path):
+def test_what_a_profile_needs_is_said_with_how_to_install_it(tmp_path, monkeypatch):
     path = tmp_path / 'car.yaml'
     path.write_text('simulator: gymnasium_env\nneeds: {no_such_module: pip install it}\n')
     with pytest.raises(SimulatorError, match='car: no_such_module is not installed: pip install'):
         make_simulator(str(path))
+    # one that is there, and from nowhere
+    monkeypatch.setitem(sys.modules, 'from_nowhere', types.ModuleType('from_nowhere'))
+    path = tmp_path / 'other.yaml'
+    path.write_text('simulator: carracing\nneeds: {from_nowhere: pip install it}\n')
+    assert find_simulator(str(path))
 
 
 def test_a_profile_that_is_no_file_is_one_line(tmp_path):

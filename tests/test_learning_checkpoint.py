@@ -6,6 +6,7 @@ import dataclasses
 import errno
 import json
 import os
+from pathlib import Path
 import re
 import shutil
 import signal
@@ -465,3 +466,80 @@ def test_a_new_run_has_bfloat16_where_the_machine_has_or_it_is_asked_for(run, mo
         for begun in ('true', 'false'):
             run.config.write_text(re.sub('bf16: .*', f'bf16: {begun}', text))
             assert str(run_settings(run.path, 'racing', {}, resume=True).bf16).lower() == begun
+
+
+def test_the_last_stamps_that_ros_can_say_are_gone_on_from(tmp_path):
+    """Nobody refuses nanoseconds beyond a second; who saves them has to read them."""
+    last = (2**31 - 1) * 10**9 + 2**32 - 1
+    training = create(tmp_path / 'run')
+    first, *_ = stream(1)
+    training.add(dataclasses.replace(first, stamp=last - 1, next_stamp=last))
+    training.save()
+    later = Training.resume(tmp_path / 'run', device='cpu')
+    assert later.learning.state().segment_end == last
+
+
+@pytest.mark.parametrize('taken', ['checkpoint', 'episodes.csv'])
+def test_what_stands_in_the_way_of_beginning_anew_is_one_line(tmp_path, taken):
+    begun = create(tmp_path / 'run')
+    begun.folder.checkpoint.unlink()
+    place = tmp_path / 'run' / taken
+    if taken == 'checkpoint':
+        place.rmdir()
+        place.write_text('')
+    else:
+        place.unlink()
+        place.mkdir()
+    with pytest.raises(RunError, match=f'run/{taken}: '):
+        open_training(tmp_path / 'run', tiny(), resume=False, device='cpu')
+
+
+def test_of_two_processes_that_begin_a_run_at_the_same_moment_one_is_refused(tmp_path):
+    code = ('import sys\n'
+            'from learning_cases import tiny\n'
+            'from msgs_bridge.errors import BridgeError\n'
+            'from trainer_node.open_run import open_training\n'
+            'from trainer_node.training import Training\n'
+            'print("ready", flush=True)\n'
+            'sys.stdin.readline()\n'
+            'try:\n'
+            '    open_training(sys.argv[1], tiny(gamma=float(sys.argv[2])), resume=False,'
+            ' device="cpu")\n'
+            '    print("learns", flush=True)\n'
+            'except BridgeError as error:\n'
+            '    print(error, flush=True)\n'
+            'sys.stdin.readline()\n')
+    gammas = ('0.5', '0.6')
+    both = [subprocess.Popen(
+        [sys.executable, '-c', code, str(tmp_path / 'run'), gamma], text=True,
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+        env={**os.environ, 'PYTHONPATH': os.pathsep.join(sys.path)}) for gamma in gammas]
+    try:
+        for one in both:
+            assert one.stdout.readline() == 'ready\n'
+        for one in both:
+            one.stdin.write('\n')
+            one.stdin.flush()
+        said = [one.stdout.readline().strip() for one in both]
+        winner = said.index('learns')
+        assert re.search('another process learns into it|holds a run already', said[1 - winner])
+        # and what there is, is of the one that learns
+        assert run_settings(tmp_path / 'run', 'racing', {}, resume=True).gamma == float(
+            gammas[winner])
+        assert Training.resume(tmp_path / 'run', device='cpu').settings.gamma == float(
+            gammas[winner])
+    finally:
+        for one in both:
+            one.kill()
+            one.communicate()
+
+
+@pytest.mark.skipif(Path('/proc/sys/vm/overcommit_memory').read_text().strip() == '1',
+                    reason='this system promises any memory')
+def test_a_replay_that_the_machine_has_no_memory_for_is_one_line(tmp_path):
+    with pytest.raises(BridgeError, match='a replay of 5000000 observations of 4096x4096 takes '
+                                          '78125 GiB.*set replay_capacity lower'):
+        open_training(tmp_path / 'run', tiny(
+            frame_height=4096, frame_width=4096, shrink=1, convolutions='4@32/16 4@32/16',
+            replay_capacity=5_000_000), resume=False, device='cpu')
+    assert not (tmp_path / 'run').exists()

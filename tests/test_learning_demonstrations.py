@@ -4,6 +4,7 @@
 from collections import Counter
 import dataclasses
 import json
+import math
 
 from bag_cases import record_drive
 from dqn_policy_node.action_space import ACTION_SPACES, action_space
@@ -123,9 +124,18 @@ def test_the_file_is_read_as_it_was_and_for_no_other_settings(tmp_path):
         write_checkpoint(path, {**arrays, name: value}, state, FORMAT)
         with pytest.raises(RunError, match='damaged demonstrations'):
             read_demonstrations(path, settings)
-    write_checkpoint(path, arrays, {**state, 'written': 10**12}, FORMAT)
-    with pytest.raises(RunError, match='damaged demonstrations'):
-        read_demonstrations(path, settings)
+    for odd in ({'written': 10**12}, {'written': math.inf},
+                {'summary': {**state['summary'], 'mean_return': 10**400}}):
+        write_checkpoint(path, arrays, {**state, **odd}, FORMAT)
+        with pytest.raises(RunError, match='damaged demonstrations|mean_return is'):
+            read_demonstrations(path, settings)
+
+
+def test_an_episode_whose_last_decision_is_left_out_was_driven_to_its_end():
+    odd = [dataclasses.replace(one, next_frame=one.next_frame[:50]) if one.step.ended else one
+           for one in stream(26)]
+    summary = collect(tiny(), odd, ['lap']).summary
+    assert (summary.episodes, summary.decisions, summary.left_out) == (2, 24, 2)
 
 
 def test_a_share_of_every_batch_is_demonstrated_and_never_overwritten():

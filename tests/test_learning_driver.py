@@ -120,6 +120,23 @@ def test_what_is_asked_for_is_done_at_the_next_turn(tmp_path):
     assert graph.said == [f'saved {driver.training.folder.checkpoint}']
 
 
+def test_what_is_asked_for_a_thousand_times_is_done_once(tmp_path):
+    """Anybody may call the services of a trainer, and a checkpoint takes seconds."""
+    graph = Graph()
+    driver = graph.driver(create(tmp_path / 'run', checkpoint_every_minutes=0.0))
+    versions = len(graph.updates)
+    for _ in range(1000):
+        driver.request_save()
+        driver.request_validation()
+        driver.validated(validation(10**6))
+    assert driver._validations.qsize() == 100
+    driver.turn()
+    assert len(graph.said) == 1 and len(graph.updates) == versions + 1
+    assert 'faster than they are taken' in graph.warned[0] and driver._validations.empty()
+    driver.turn()
+    assert len(graph.said) == 1
+
+
 def test_checkpoints_are_written_by_the_clock(tmp_path):
     driver = Graph().driver(create(tmp_path / 'run', checkpoint_every_minutes=1.0))
     feed(driver, stream(150))

@@ -1,6 +1,8 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
 """Which weights are the best, and what is known of them."""
+import shutil
+
 from dqn_policy_node.model_folder import load_model
 from dqn_policy_node.weights_message import decode_weights
 from learning_cases import create, drive, rows, stream, tiny, validation
@@ -49,7 +51,7 @@ def test_a_spread_weight_prefers_the_steady_model(tmp_path):
     later.next_weights(validate=True)
     assert later.record_validation(validation(later.version, mean=80.0, std=1.0))
     later.next_weights(validate=True)
-    with pytest.raises(MessageError, match='score of a validation is -inf'):
+    with pytest.raises(MessageError, match='std of a validation is 1.7e'):
         later.record_validation(validation(later.version, std=1.7e308))
 
 
@@ -82,3 +84,52 @@ def test_a_result_that_comes_late_tells_of_when_its_weights_were_made(tmp_path):
         40, then.updates, then.episode)
     assert record['wall_seconds'] == pytest.approx(then.wall_seconds, abs=2)
     assert record['best_validation']['decisions'] == 40
+
+
+@pytest.mark.parametrize('changes', [
+    {'mean': 1e300}, {'std': -1.0}, {'std': 1e308}, {'completed': 1.5}, {'episodes': 0},
+    {'version': 1.5}, {'minimum': -1e10}])
+def test_a_result_that_cannot_be_is_refused_and_the_true_one_is_still_taken(tmp_path, changes):
+    """Anybody may publish one: it must not stand for ever as the best, or as the last."""
+    training = create(tmp_path / 'run', validation_spread_weight=10.0)
+    training.next_weights(validate=True)
+    try:
+        assert training.record_validation({**validation(1), **changes}) is False
+        assert changes == {'version': 1.5}
+    except MessageError as error:
+        assert f'{next(iter(changes))} of a validation is' in str(error)
+    assert 'best_validation' not in training.status() and not training.folder.best.exists()
+    assert training.record_validation(validation(1, mean=5.0))
+    assert training.status()['best_validation'] == training.status()['validation_mean'] == 5.0
+
+
+def test_the_best_is_what_lies_in_its_folder_whatever_became_of_that(tmp_path):
+    training = create(tmp_path / 'run')
+    for mean in (5.0, 8.0):
+        training.next_weights(validate=True)
+        training.record_validation(validation(training.version, mean=mean))
+        if mean == 5.0:
+            shutil.copytree(training.folder.best, tmp_path / 'worse')
+    training.save()
+
+    def validated(mean):
+        later = Training.resume(tmp_path / 'run', device='cpu')
+        later.next_weights(validate=True)
+        kept = later.record_validation(validation(later.version, mean=mean))
+        later.save()
+        return kept
+
+    # the disk was full when the better one was to be written
+    shutil.rmtree(training.folder.best)
+    shutil.copytree(tmp_path / 'worse', training.folder.best)
+    assert not validated(4.0)
+    assert validated(6.0)
+    # somebody has removed it: the next one is the best that there is, and one can wait for it
+    shutil.rmtree(training.folder.best)
+    waiting = Training.resume(tmp_path / 'run', device='cpu')
+    assert 'best_validation' not in waiting.status()
+    waiting.save()
+    assert validated(3.0)
+    assert load_model(training.folder.best).training['best_validation']['mean'] == 3.0
+    (training.folder.best / 'model.json').write_text('{}')
+    assert validated(2.0)

@@ -138,6 +138,22 @@ def test_an_early_end_that_is_terminal_needs_to_be_told_of_it():
         make_transition(step=make_step(ended_early=1, truncated=1)))
 
 
+def test_what_does_not_end_is_not_terminal_whatever_its_info_says():
+    """Rewards that follow would be added to a return that has ended."""
+    shaping = Shaping(tiny(early_end_terminal=True))
+    assert not shaping.terminated(make_transition(step=make_step(ended_early=1)))
+
+
+@pytest.mark.parametrize('values', [
+    {'speed': 1.7e308, 'wheels_off_road': 1.7e308}, {'speed': 5e305, 'wheels_off_road': -5e303}])
+def test_terms_that_cannot_be_added_up_cost_their_transition_only(values):
+    shaping = Shaping(tiny(speed_weight=10.0, off_road_penalty=10.0))
+    shaping.reward(make_transition())
+    with pytest.raises(MessageError, match='the shaped reward is'):
+        shaping.reward(make_transition(step=make_step(**values), next_stamp=10**12))
+    assert shaping.reward(make_transition()) == 0.0
+
+
 def test_a_later_step_that_lacks_a_value_costs_its_transition_only():
     shaping = Shaping(tiny(speed_weight=0.5))
     shaping.reward(make_transition())

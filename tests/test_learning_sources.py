@@ -55,6 +55,12 @@ def test_names_and_patterns(text, given, matching):
     assert SourceNames('car_*', '/space').matching(['/space/car_3', '/car_3']) == ['/space/car_3']
 
 
+def test_a_car_that_is_named_twice_is_learned_from_once():
+    assert SourceNames('/car_1, car_1,/car_1,/car_2', '/').given == ('/car_1', '/car_2')
+    with pytest.raises(SettingsError, match='sources has 129 names; accepted: up to 128'):
+        SourceNames(','.join(f'/car_{number}' for number in range(129)), '/')
+
+
 def test_they_are_taken_from_by_turns_and_held_back_together():
     sources = Sources(queue_limit=8)
     assert sources.take() is None

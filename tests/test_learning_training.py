@@ -385,3 +385,42 @@ def test_event_files_on_request(tmp_path):
     drive(training, stream(60))
     training.finish()
     assert list((tmp_path / 'run' / 'tensorboard').glob('events.out.tfevents.*'))
+
+
+@pytest.mark.parametrize('names', [[''], ['/a', '/b']])
+def test_an_episode_whose_last_transition_is_left_out_has_ended_all_the_same(tmp_path, names):
+    """Whoever drives it home may do so by a command that is none of the actions."""
+    training = create(tmp_path / 'run', run_episodes=4, epsilon_schedule='episodes',
+                      validation_every_episodes=4)
+    epsilon = training.learning.epsilon
+    left_out = 0
+    for name in names:
+        for transition in stream(13 * 4 // len(names)):
+            ended = transition.step.ended
+            assert not training.complete
+            try:
+                training.add(dataclasses.replace(transition, command=Command(
+                    0.5, 0.123)) if ended else transition, name)
+            except MessageError:
+                left_out += ended
+    assert left_out == training.episodes == 4 and training.complete
+    assert training.learning.epsilon < epsilon
+    assert [row['train_reward'] != '' for row in rows(training.folder.episodes)] == [True] * 4
+    assert decode_weights(training.next_weights()).validate
+
+
+def test_a_simulator_that_uses_its_stamps_again_does_not_go_on_where_it_was(tmp_path):
+    """Frame and stamp must fit; of a run that goes on, what its checkpoint has seen of it."""
+    training = create(tmp_path / 'run')
+    first, second = stream(2)
+    other = dataclasses.replace(
+        next(stream(1, seed=9)), stamp=second.stamp, next_stamp=second.next_stamp)
+    training.add(first)
+    training.save()
+    for transition, goes_on in ((second, True), (other, False)):
+        resumed = Training.resume(tmp_path / 'run', device='cpu')
+        assert resumed.learning.insert(transition) is goes_on
+        again = create(tmp_path / f'run{goes_on}')
+        again.add(first)
+        assert again.learning.insert(transition) is goes_on
+        assert len(again.learning.replay) == (3 if goes_on else 4)

@@ -7,6 +7,7 @@ from carracing_dqn.studies.one_process import learn
 from dqn_policy_node import Policy
 from dqn_policy_node.action_space import action_space
 from dqn_policy_node.errors import ModelError
+from dqn_policy_node.model_record import MAX_MODEL_FILE_BYTES
 from dqn_policy_node.network import QNetwork
 from dqn_policy_node.weights_message import decode_weights, encode_weights
 from learning_cases import tiny
@@ -15,7 +16,7 @@ from msgs_bridge.twists import Command
 import numpy as np
 import pytest
 from trainer_node.training import Training
-from trainer_node.tuner import Tuner
+from trainer_node.tuner import MOST_SERIES, Tuner
 
 SPACE = 'seed5+any'
 COMMAND, ANYTHING = Command(1.0, 0.0), Command(0.5, 0.05)
@@ -125,3 +126,12 @@ def test_a_run_writes_down_what_it_chose(tmp_path):
                 before['share'] + 0.1 * np.sign(before['axes'] - before['commands']))
     model = json.loads((tmp_path / 'run' / 'final' / 'model.json').read_text())
     assert model['training']['run']['tuner'] == series
+
+
+def test_the_series_of_a_very_long_run_leave_its_models_readable():
+    """They are told in `model.json`, which is not read when it is too long."""
+    tuner = Tuner(settings(tuner_series=1))
+    for number in range(MOST_SERIES + 5):
+        tuner.episode_ended(number, -123.456789012345 * number)
+    assert [tuner.series[0].episodes, tuner.series[-1].episodes] == [5, MOST_SERIES + 4]
+    assert len(json.dumps(tuner.to_json(), indent=1)) < MAX_MODEL_FILE_BYTES / 2

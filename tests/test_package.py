@@ -66,6 +66,14 @@ def test_too_few_open_files_are_raised_or_told_in_one_line():
     assert len(done.stderr.splitlines()) == 1
 
 
+def test_too_little_memory_is_told_in_one_line_before_a_library_ends_it():
+    done = subprocess.run(
+        ['bash', '-c', 'ulimit -v 300000; exec "$@"', 'bash', sys.executable, '-m',
+         'carracing_dqn.bringup', 'train'], capture_output=True, text=True)
+    assert done.returncode == 2 and len(done.stderr.splitlines()) == 1
+    assert done.stderr.startswith('error: only 292 MiB of memory')
+
+
 @pytest.mark.parametrize('closed', ['<&-', '>&-', '2>&-', '<&- >&- 2>&-'])
 @pytest.mark.parametrize(('name', 'word'), [
     ('carracing', '--version'), ('referee_node', '--help')])

@@ -7,6 +7,7 @@ import math
 
 from dqn_policy_node.camera import Camera, CameraSettings
 from dqn_policy_node.command_stage import CommandSettings, CommandStage
+from dqn_policy_node.settings import PolicySettings
 from hypothesis import given, settings, strategies
 from msgs_bridge.errors import MessageError, SettingsError
 from msgs_bridge.images import (
@@ -168,3 +169,12 @@ def test_an_ackermann_car_gathers_speed_turns_by_its_wheels_and_coasts():
     assert stage.twist(Command(-1.0, 0.0), 0.1).linear == pytest.approx(1.55)
     with pytest.raises(SettingsError, match='linear_low'):
         CommandSettings(linear_low=1.0, linear_high=0.0)
+
+
+def test_a_policy_that_neither_has_weights_nor_takes_any_is_refused():
+    """It would say for ever that it waits for weights."""
+    with pytest.raises(SettingsError, match='model is empty.*hot_swap is false'):
+        PolicySettings(model='', hot_swap=False)
+    with pytest.raises(SettingsError, match='linear_low'):
+        PolicySettings(linear_low=1.0, linear_high=0.0)
+    assert PolicySettings(model='').hot_swap and not PolicySettings(hot_swap=False).hot_swap

@@ -146,6 +146,12 @@ def test_a_record_changed_by_hand_does_not_match_its_hash(folder, change):
         load_model(folder)
 
 
+def test_a_version_that_no_message_can_say_is_named(folder, description, tensors):
+    save_model(folder, Model(description, tensors, {}, 10**400))
+    with pytest.raises(ModelError, match='model.json: version has more than 16 digits'):
+        load_model(folder)
+
+
 @pytest.mark.parametrize('name', ['model.json', 'weights.safetensors'])
 @pytest.mark.parametrize('make', [os.mkfifo, lambda path: path.symlink_to('/dev/zero')])
 def test_what_never_ends_is_not_read(folder, name, make):

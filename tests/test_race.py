@@ -3,9 +3,11 @@
 """A person races a model: keys of a window, what it shows, the node, and the whole command."""
 import io
 import json
+import math
 import os
 import signal
 import sys
+import tracemalloc
 
 from bags.transitions import bag_transitions
 from carracing_dqn.bringup.monitor import GraphState
@@ -20,11 +22,12 @@ from graph_probe import carracing, start_carracing
 from learning_cases import make_step
 from msgs_bridge import topics
 from msgs_bridge.errors import SettingsError
+from msgs_bridge.images import fill_image
 from msgs_bridge.twists import Command, STOP
 import numpy as np
 import pytest
 from rich.console import Console
-from sensor_msgs.msg import Joy
+from sensor_msgs.msg import Image, Joy
 
 SETTINGS = RaceSettings()
 RIVAL = Rival(420, [0.0, 3.0, 6.0, 9.0], [0, 1, 1, 3], True)
@@ -87,6 +90,23 @@ def test_a_race_is_told_beside_the_model():
     assert all(theirs == '' for _, _, theirs in race.view().rows)
     race.take(make_step(seed=421, episode=6, decision=1, truncated=1.0), 3 * 10**9)
     assert race.view().call == 'end of the race'
+    # a simulator that was started again counts from 0
+    race.take(step(0, episode=0), 10**9)
+    assert race.lap == 1
+
+
+def test_of_a_race_without_an_end_only_what_is_shown_is_kept():
+    race = Race()
+    tracemalloc.start()
+    try:
+        for episode in range(3000):
+            race.take(step(3, episode=episode, terminated=1.0), episode)
+            if episode == 100:
+                before, _ = tracemalloc.get_traced_memory()
+        after, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert len(race.view().results) == 5 and after - before < 20_000
 
 
 def test_laps_of_the_model_travel_and_nothing_else_is_taken(tmp_path):
@@ -101,6 +121,14 @@ def test_laps_of_the_model_travel_and_nothing_else_is_taken(tmp_path):
         path.write_text(text)
         with pytest.raises(SettingsError, match='no laps to race against'):
             read_rivals(path)
+    lap = {'seed': 1, 'returns': [0.0, 1.0], 'tiles': [0, 1], 'finished': True}
+    for odd in ({'returns': [0.0, math.nan]}, {'returns': [0.0, math.inf]}, {'tiles': [3, 1]}):
+        path.write_text(json.dumps({'name': 'x', 'laps': [{**lap, **odd}]}))
+        with pytest.raises(SettingsError, match='no laps to race against'):
+            read_rivals(path)
+    # a name is shown in the window
+    path.write_text(json.dumps({'name': 'a\0b\udc00' + 'x' * 9999, 'laps': [lap]}))
+    assert read_rivals(path)[0] == 'a?b?' + 'x' * 95 + '…'
     with pytest.raises(SettingsError, match='no such file'):
         read_rivals(tmp_path / 'nowhere')
 
@@ -142,8 +170,24 @@ def test_the_window_takes_keys_and_shows_the_picture(window):
     # another camera has another size
     window.show(np.full((60, 80, 3), 9, np.uint8), 2, view)
     assert pygame.display.get_surface().get_at((79 * 4, 59 * 4))[:3] == (9, 9, 9)
+    # a joystick that was pulled out before anybody looked
+    assert not post(pygame.JOYDEVICEADDED, device_index=7)
     assert post(pygame.KEYDOWN, key=pygame.K_ESCAPE)
     assert post(pygame.QUIT)
+
+
+@pytest.mark.parametrize('size', [(4096, 4096), (4096, 1), (1, 4096), (1100, 1000)])
+def test_a_picture_of_any_size_fits_into_the_window(window, size):
+    import pygame
+    pixels = np.full((*size, 3), 9, np.uint8)
+    pixels[-1, -1] = 200, 100, 50
+    window.show(pixels, 1, View('lap 1', (), (), 'press gas to start'))
+    screen = pygame.display.get_surface()
+    assert max(screen.get_size()) <= 4096 + 400
+    width = screen.get_width() - 400
+    height = max(1, round(size[0] * width / size[1]))
+    assert max(width, height) in (4096, 4400), 'as large as may be, or four to a pixel'
+    assert screen.get_at((width - 1, height - 1))[:3] == (200, 100, 50)
 
 
 def test_without_a_screen_it_is_one_line(tmp_path):
@@ -169,7 +213,11 @@ def test_laps_and_the_one_that_was_left_stand_beside_the_models():
                                   'tiles_visited': '5', 'tiles_total': '300'}
     state.episodes.append({'seed': 420.0, 'episode_return': 900.0, 'step': 700.0,
                            'lap_finished': 1.0, 'left_field': 0.0})
-    laps = person_laps(state)
+    # of a stranger, in the namespace of the race
+    for odd in ({'seed': 7.0}, {'seed': 422.0, 'step': math.nan}, {'seed': 422.0, 'step': 0.0}):
+        state.episodes.append({'episode_return': 1.0, **odd})
+    laps = person_laps(state, range(420, 423))
+    assert sorted(laps) == [420, 421]
     assert laps[420] == Lap(420, 900.0, 700, lap_finished=True, left_field=False)
     assert laps[421] == Lap(421, 12.5, 60, 5, 300, lap_finished=False)
     model = Results({}, 'carracing', {seed: Lap(
@@ -179,7 +227,9 @@ def test_laps_and_the_one_that_was_left_stand_beside_the_models():
     said = console.export_text()
     assert 'given up' in said and said.count('lap finished') == 3 and '456.2' in said
     state.health.clear()
-    assert list(person_laps(state)) == [420]
+    assert list(person_laps(state, range(420, 423))) == [420]
+    state.health['/race_node'] = {'seed': '421', 'step': 'inf', 'episode_return': 'nan'}
+    assert list(person_laps(state, range(420, 423))) == [420]
 
 
 # presses gas, steers, and leaves by Escape, by how far it has driven
@@ -229,6 +279,17 @@ def test_keys_of_the_window_drive_a_simulator_and_escape_says_how_far_it_was(gra
     driven = transitions[-1].step
     assert float(last['step']) == pytest.approx(driven.info['step'], abs=1)
     assert float(last['episode_return']) == pytest.approx(driven.episode_return, abs=0.5)
+
+
+def test_images_without_steps_are_no_race_and_it_is_said(graph, monkeypatch):
+    monkeypatch.setenv('SDL_VIDEODRIVER', 'dummy')
+    graph.listen(topics.DIAGNOSTICS)
+    images = graph.publisher(topics.IMAGE)
+    graph.node('carracing_dqn.teleop.race_node', 'race_node')
+    graph.spin_until(images.get_subscription_count, 60, 'the window')
+    images.publish(fill_image(Image(), np.zeros((96, 96, 3), np.uint8), 10**9, 'camera'))
+    graph.spin_until(lambda: 'images come, but no step' in graph.health('race_node').get(
+        'summary', ''), 30, 'what is missing')
 
 
 def test_a_race_is_driven_recorded_and_counted(graph, monkeypatch, tmp_path):

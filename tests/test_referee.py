@@ -6,7 +6,9 @@ import math
 import subprocess
 import sys
 
-from carracing_dqn.simulation.referee import needed_topics, Path, Place, Pose, Referee
+from carracing_dqn.simulation.referee import (
+    needed_topics, Path, Place, Pose, Referee, yaw_of,
+)
 from carracing_dqn.simulation.referee_settings import RefereeSettings
 from carracing_dqn.simulation.registry import make_simulator
 from msgs_bridge import topics
@@ -157,6 +159,62 @@ def test_nothing_is_made_up_for_what_is_missing():
         one.episode for one in robot.steps)
 
 
+@pytest.mark.parametrize('missed', [4, 5])
+def test_a_collision_at_an_image_that_cannot_be_judged_counts_for_the_next(missed):
+    """A crash is when odometry stops, too; the end must not be lost with the frame."""
+    robot = Robot(forward_weight=1.0, collision_ends=True, sequence_gap=2.0, input_timeout=0.1)
+    for _ in range(3):
+        robot.frame()
+    for number in range(missed):
+        robot.frame(odom=False, collided=number == 0)
+    # one of them has been waited for in vain, and perhaps all
+    robot.now += 0.1 * (missed - 4)
+    robot.said += robot.referee.judge(robot.now)
+    assert robot.referee.counts['frames_not_judged'] and not robot.steps[-1].ended
+    for _ in range(3):
+        robot.frame()
+    ended = [one for one in robot.steps if one.ended]
+    assert [(one.terminated, one.info['collision']) for one in ended] == [(True, 1.0)]
+    assert ended[0].decision > robot.steps[2].decision + 1
+
+
+def test_a_path_by_other_coordinates_than_odometry_judges_nothing():
+    robot = Robot(progress_weight=10.0)
+    line = np.array([[0.0, 0.0], [10.0, 0.0]])
+    for frame_id, judged in (('map', False), ('/odom', True), ('', True), ('map', False)):
+        robot.referee.hear_path(line, frame_id)
+        robot.referee.hear_odometry(robot.stamp, Pose(robot.x, 0.0, 0.0), 'odom')
+        before = len(robot.steps)
+        robot.now += 2.0
+        robot.stamp += FRAME
+        robot.referee.hear_odometry(robot.stamp, Pose(robot.x, 0.0, 0.0), 'odom')
+        robot.referee.see_image(robot.stamp, robot.now)
+        robot.said += robot.referee.judge(robot.now + 2.0)
+        assert (len(robot.steps) > before) == judged
+        assert robot.referee.missing == ({} if judged else {
+            'path': "it is in the frame 'map', odom in 'odom'; both must be in one"})
+
+
+def test_odometry_without_an_orientation_heads_nowhere():
+    for length in (1e-200, 0.5, 1.0, 3.0):
+        half = 0.7
+        assert yaw_of(0.0, 0.0, length * math.sin(half), length * math.cos(half)) == (
+            pytest.approx(2 * half))
+    for odd in ((0.0, 0.0, 0.0, 0.0), (0.0, 0.0, math.nan, 1.0), (0.0, math.inf, 0.0, 1.0)):
+        with pytest.raises(MessageError, match='without an orientation'):
+            yaw_of(*odd)
+
+
+def test_stamps_that_stand_are_counted():
+    robot = Robot()
+    robot.frame()
+    for number in range(12):
+        robot.referee.see_image(robot.stamp, robot.now)
+        assert robot.referee.again == robot.referee.counts['images_sent_again'] == number + 1
+    robot.frame()
+    assert robot.referee.again == 0 and robot.referee.counts['images_sent_again'] == 12
+
+
 def test_a_path_says_how_far_it_went_and_how_far_off():
     angles = np.linspace(0, 2 * math.pi, 100, endpoint=False)
     path = Path(np.stack([5 * np.cos(angles), 5 * np.sin(angles)], 1))
@@ -288,6 +346,27 @@ def test_a_topic_that_nobody_publishes_is_named(graph):
     told = 'goal_distance: nobody publishes it, goal_weight needs it'
     graph.spin_until(lambda: told in graph.health('referee_node').get('summary', ''), 5, 'told')
     assert child.said(told) and not graph.messages['step']
+
+
+def test_stamps_that_say_no_time_are_counted_and_told(graph):
+    graph.listen(topics.STEP, topics.DIAGNOSTICS)
+    images = graph.publisher(topics.IMAGE)
+    child = graph.node(*REFEREE)
+    graph.spin_until(images.get_subscription_count, 60, 'the referee hears')
+    message = fill_image(Image(), np.zeros((4, 4, 3), np.uint8), 0, 'c')
+    for second, nanosecond in ((0, 0), (2**31 - 1, 2**32 - 1), (-5, 0)):
+        message.header.stamp.sec, message.header.stamp.nanosec = second, nanosecond
+        images.publish(message)
+    graph.spin_until(lambda: graph.health('referee_node').get('rejected_image_raw') == '3', 20,
+                     'all are counted')
+    assert child.said('an image without a stamp') and child.process.poll() is None
+    # and a camera whose stamps stand is named
+    for _ in range(15):
+        images.publish(fill_image(message, np.zeros((4, 4, 3), np.uint8), FRAME, 'c'))
+        graph.spin(0.02)
+    graph.spin_until(lambda: 'images in a row bear one stamp' in graph.health(
+        'referee_node').get('summary', ''), 20, 'told')
+    assert len(graph.messages['step']) == 1
 
 
 @pytest.fixture

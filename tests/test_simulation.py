@@ -3,6 +3,8 @@
 """Simulators by name, their episodes, and when they go on; without ROS."""
 from collections import Counter, deque
 import dataclasses
+import decimal
+import fractions
 import itertools
 
 from hypothesis import given, settings, strategies
@@ -19,7 +21,8 @@ from carracing_sim_node.controls import controls
 from msgs_bridge.errors import MessageError, SettingsError, SimulatorError
 from msgs_bridge.settings import describe, setting
 from msgs_bridge.simulator import Outcome, Simulator
-from msgs_bridge.step import EPISODE_CORE, read_step, STEP_INFO
+from msgs_bridge.stamps import NANOSECONDS
+from msgs_bridge.step import EPISODE_CORE, MAX_SECONDS, read_step, STEP_INFO
 from msgs_bridge.twists import Command, STOP
 import toy_simulator
 
@@ -228,6 +231,7 @@ class Odd(Simulator):
     """Gives what it was told to."""
 
     frame_seconds = 0.05
+    constants = {'constant': 3.0}
 
     def __init__(self, outcomes):
         self.outcomes = deque(outcomes)
@@ -257,12 +261,16 @@ class Odd(Simulator):
     ([Outcome(PIXELS, info={'gear': 'first'})], "info 'gear' first"),
     ([Outcome(PIXELS, info={'gear': 10**400})], "info 'gear' 1000"),
     ([Outcome(PIXELS, info={'reward': 1.0})], 'means something else'),
+    ([Outcome(PIXELS, info={'decisions': 1.0})], 'means something else'),
+    ([Outcome(PIXELS, info={'constant': 1.0})], 'means something else'),
+    ([Outcome(PIXELS), Outcome(PIXELS, frames=np.array([1, 1]))], 'frames passed; asked for 2'),
+    ([Outcome(PIXELS), Outcome(PIXELS, np.zeros(2), frames=1)], 'accepted: a number'),
     ([Outcome(PIXELS, info=None)], 'as info None; expected names and numbers'),
     ([Outcome(PIXELS, info=[('a', 1)])], 'as info'),
     ([Outcome(PIXELS, info={1: 1.0})], "an info '1'; expected a name"),
     ([Outcome(PIXELS, info={'a' * 101: 1.0})], 'up to 100 letters'),
     ([Outcome(PIXELS, info={'\udcff': 1.0})], 'expected a name'),
-    ([Outcome(PIXELS, info={f'a{n}': 1.0 for n in range(240)})], '240 values; accepted: up to'),
+    ([Outcome(PIXELS, info={f'a{n}': 1.0 for n in range(239)})], '240 values; accepted: up to'),
     ([Outcome(PIXELS), Outcome(PIXELS, 1e12, frames=1)], 'the reward 1000000000000.0; accepted'),
     ([Outcome(PIXELS), Outcome(PIXELS, 10**5000, frames=1)], 'the reward of type int'),
     ([Outcome(PIXELS), *2 * [Outcome(PIXELS, 9e8, frames=1)]], r'add up to 1.8e\+09'),
@@ -286,6 +294,94 @@ def test_what_is_wrong_from_the_start_is_said_at_the_start(name, value, told):
     setattr(simulator, name, value)
     with pytest.raises(SimulatorError, match=told):
         Drive(simulator, SimulationSettings())
+
+
+@pytest.mark.parametrize('number', [
+    np.float16, np.float32, np.int8, fractions.Fraction, decimal.Decimal])
+def test_a_return_is_as_exact_as_python_adds_whatever_numbers_a_simulator_has(number):
+    rewards = [number(1 if number is np.int8 else 0.1)] * 5000
+    drive = Drive(Odd([Outcome(PIXELS), *(
+        Outcome(PIXELS, reward, np.False_, np.False_, frames=np.int64(1)) for reward in rewards)]),
+        SimulationSettings(simulator='odd'))
+    drive.begin()
+    for _ in rewards:
+        frame = drive.advance(STOP, None)
+    assert frame.step.episode_return == pytest.approx(sum(map(float, rewards)))
+    assert type(frame.step.episode_return) is type(frame.step.reward) is float
+    assert frame.step.info['step'] == 5000 and type(frame.step.info['step']) is int
+
+
+class Redrawing(toy_simulator.Toy):
+    """Draws into one array, and reads its speed off another."""
+
+    frame_seconds = np.float32(0.05)
+
+    def __init__(self, settings):
+        super().__init__(settings)
+        self.drawn, self.speed = np.zeros((32, 48, 3), np.uint8), np.zeros(())
+
+    def pixels(self):
+        self.drawn[:] = super().pixels()
+        return self.drawn
+
+    def reset(self, seed):
+        return super().reset(seed)._replace(info={'speed': self.speed})
+
+    def advance(self, command, frames=1):
+        self.speed += 1
+        return super().advance(command, frames)._replace(info={'speed': self.speed})
+
+
+def test_frames_that_are_kept_do_not_change_when_the_simulator_draws_again():
+    frames = list(frames_of(open_drive({'simulator': f'{__name__}:Redrawing'}), 2))
+    expected = list(frames_of(open_drive({'simulator': TOY}), 2))
+    assert len(frames) == len(expected) > 10
+    for number, (frame, wanted) in enumerate(zip(frames, expected)):
+        assert np.array_equal(frame.pixels, wanted.pixels)
+        assert frame.step.info['speed'] == number - frame.step.episode
+    assert frames[0].episode['frame_seconds'] == pytest.approx(0.05)
+
+
+class Left(toy_simulator.Toy):
+    """Notes that it was closed, and cannot be."""
+
+    frame_seconds = 'fast'
+    closed = 0
+
+    def close(self):
+        Left.closed += 1
+        raise ConnectionError('nobody is there')
+
+
+def test_a_simulator_that_is_of_no_use_is_let_go_of(monkeypatch):
+    place = f'{__name__}:Left'
+    for act in (lambda: open_drive({'simulator': place}), lambda: registry.frame_seconds(place)):
+        before = Left.closed
+        with pytest.raises(SimulatorError, match='has frame_seconds fast'):
+            act()
+        assert Left.closed == before + 1
+    monkeypatch.setattr(Left, 'frame_seconds', 0.05)
+    assert registry.frame_seconds(place) == 0.05 and Left.closed == before + 1
+
+
+def test_what_failed_first_is_what_is_told(monkeypatch):
+    monkeypatch.setattr(Left, 'frame_seconds', 0.05)
+    drive = open_drive({'simulator': f'{__name__}:Left'})
+    drive.begin()
+    drive.simulator.dot = None
+    with pytest.raises(SimulatorError, match='failed in advance: TypeError'):
+        drive.advance(STOP, None)
+    # who drove it ends with that, and not with what comes of closing it
+    drive.close()
+
+
+def test_time_ends_in_one_line_where_stamps_do():
+    drive = open_drive({'simulator': TOY})
+    drive.begin()
+    drive.stamp = (MAX_SECONDS + 1) * NANOSECONDS - 60_000_000
+    assert drive.advance(STOP, None).stamp == (MAX_SECONDS + 1) * NANOSECONDS - 10_000_000
+    with pytest.raises(SimulatorError, match=f'simulated {MAX_SECONDS} s'):
+        drive.advance(STOP, None)
 
 
 class Exiting(toy_simulator.Toy):
@@ -318,7 +414,7 @@ def test_a_simulator_that_cannot_be_made_is_one_line_with_the_place():
     with pytest.raises(SimulatorError, match='failed in skip: ZeroDivisionError'):
         drive.begin()
     with pytest.raises(SimulatorError, match='failed in close: ZeroDivisionError'):
-        drive.close()
+        Drive(Unskippable(None), SimulationSettings()).close()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -336,11 +432,16 @@ class Listed:
     gears: list = setting((), 'what no parameter can be')
 
 
+@dataclasses.dataclass
+class Thawed:
+    speed: int = setting(3, 'a class that is not frozen')
+
+
 class Wrong(toy_simulator.Toy):
     Settings = None
 
 
-@pytest.mark.parametrize('settings_class', [None, int, Undescribed, Unset, Listed])
+@pytest.mark.parametrize('settings_class', [None, int, Undescribed, Unset, Listed, Thawed])
 def test_settings_that_cannot_become_parameters_are_one_line(monkeypatch, settings_class):
     monkeypatch.setattr(Wrong, 'Settings', settings_class)
     settings_for.cache_clear()
@@ -348,6 +449,43 @@ def test_settings_that_cannot_become_parameters_are_one_line(monkeypatch, settin
         with pytest.raises(SettingsError, match='Settings is no class of settings') as caught:
             make(f'{__name__}:Wrong')
         assert '\n' not in str(caught.value)
+
+
+@dataclasses.dataclass(frozen=True)
+class Even:
+    width: int = setting(48, 'what has to be even', low=2, high=96)
+
+    def __post_init__(self):
+        if self.width % 2:
+            raise ValueError('width must be even')
+
+
+class Checked(toy_simulator.Toy):
+    Settings = Even
+
+
+def test_settings_that_check_themselves_are_one_line():
+    name = f'{__name__}:Checked'
+    for make in (make_simulator, lambda name, values: open_drive({**values, 'simulator': name})):
+        assert make(name, {'width': 50})
+        with pytest.raises(SimulatorError, match='failed in Settings: ValueError: width must be'):
+            make(name, {'width': 51})
+
+
+def test_a_class_is_found_where_the_folder_was_removed(tmp_path, monkeypatch):
+    folder = tmp_path / 'gone'
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    folder.rmdir()
+    assert find_simulator(TOY) is toy_simulator.Toy
+
+
+def test_a_module_that_cannot_import_what_it_offers_is_one_line(tmp_path, monkeypatch):
+    (tmp_path / 'lazy_offer.py').write_text(
+        'def __getattr__(name):\n    import no_such_engine\n')
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(SimulatorError, match='cannot give .Car.: ModuleNotFoundError: No module'):
+        find_simulator('lazy_offer:Car')
 
 
 def test_a_profile_whose_name_is_no_text_is_one(tmp_path):

@@ -27,6 +27,8 @@ SIM = ('carracing_sim_node', 'carracing_sim_node')
 POLICY = ('dqn_policy_node', 'dqn_policy_node')
 TOY = 'toy_simulator:Toy'
 FAILING = """
+import time
+
 from carracing_sim_node.simulator import CarRacing
 from msgs_bridge.errors import SimulatorError
 import toy_simulator
@@ -36,6 +38,35 @@ class Failing(toy_simulator.Toy):
         if getattr(self, 'frame', 0):
             raise SimulatorError('the engine is gone')
         return super().reset(seed)
+
+class Gone(toy_simulator.Toy):
+    def advance(self, command, frames=1):
+        raise RuntimeError('the engine is gone')
+
+    def close(self):
+        print('let go of', flush=True)
+        raise ConnectionError('nobody is there')
+
+class Hanging(toy_simulator.Toy):
+    step_of_it = 'close'
+
+    def reset(self, seed):
+        if seed == 1:
+            self.step_of_it = 'advance'
+        return super().reset(seed)
+
+    def advance(self, command, frames=1):
+        self.hang('advance')
+        return super().advance(command, frames)
+
+    def close(self):
+        self.hang('close')
+
+    def hang(self, where):
+        if where == self.step_of_it:
+            print('hanging', flush=True)
+            while True:
+                time.sleep(1)
 
 class Unmade(CarRacing):
     def __init__(self, settings):
@@ -221,6 +252,38 @@ def test_a_simulator_that_cannot_go_on_says_so_in_one_line(graph, act):
         answer = call(graph, 'reset')
         assert not answer.success and answer.message == 'the engine is gone'
     assert ended(child) == (2, ['error: the engine is gone'])
+
+
+def test_what_failed_first_is_the_line(graph):
+    """An engine that is gone cannot be let go of, either."""
+    child = graph.node(*SIM, simulator='failing:Gone', stepping='real_time')
+    code, errors = ended(child, 60)
+    assert code == 2 and len(errors) == 1 and child.said('let go of')
+    assert 'failed in advance: RuntimeError: the engine is gone (failing.py' in errors[0]
+
+
+def test_a_simulator_that_does_not_come_back_ends_with_the_node_all_the_same(graph):
+    driving, closing = (
+        graph.node(*SIM, simulator='failing:Hanging', stepping='real_time', seed=seed)
+        for seed in (1, 2))
+    graph.spin_until(lambda: driving.said('hanging'), 60, 'one hangs')
+    graph.spin_until(lambda: closing.said('failing:Hanging, real_time'), 60, 'the other is made')
+    graph.spin(0.5)
+    for child in (driving, closing):
+        child.signal(signal.SIGTERM)
+    for child in (driving, closing):
+        code, errors = ended(child, 60)
+        assert child.said('hanging') and code == 2
+        assert errors == ["error: simulator 'failing:Hanging' has not come back for 10 s: ended "
+                          'without it']
+
+
+def test_a_node_that_cannot_join_lets_go_of_its_simulator(graph):
+    child = graph.node(*SIM, simulator='failing:Gone', **{
+        f'qos_overrides./{graph.namespace}/image_raw.publisher.depth': 'many'})
+    code, errors = ended(child, 60)
+    assert code == 2 and len(errors) == 1 and 'qos_overrides of image_raw' in errors[0]
+    assert child.said('let go of')
 
 
 @pytest.mark.parametrize(('simulator', 'told'), [

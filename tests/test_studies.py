@@ -126,12 +126,29 @@ def test_a_study_that_is_stopped_goes_on_where_it_was(folder):
     assert load_model(rows.parent / 'final').training['decisions'] == 2500
 
 
+def test_words_of_a_study_stay_in_their_cells(folder):
+    path = write(arms={'plain': {'about': 'one | two\nthree'}})
+    assert main(['study', path, '--no-runs']) == 0
+    row, = [line for line in Path('runs/studies/which/which.md').read_text().splitlines()
+            if line.startswith('| plain | one')]
+    assert row == '| plain | one / two three |  |'
+
+
+def test_how_to_go_on_names_the_folder(folder, monkeypatch, capsys):
+    monkeypatch.setattr('carracing_dqn.studies.command._Session._drive_runs', lambda _: True)
+    assert main(['study', write(laps=0), '--output', 'a b']) == 130
+    assert "carracing study which.yaml --output='a b'" in capsys.readouterr().out
+
+
 def test_why_a_process_ended_is_told(folder):
     assert why_ended(folder, -9) == 'its process was ended by signal 9'
     assert why_ended(folder, 3) == 'its process ended with code 3'
     (folder / 'log.txt').write_text('Traceback\n  x\n\nerror: the disk\x1b is full\n')
     assert why_ended(folder, 2) == 'the disk? is full'
     assert why_ended(folder, 130) == 'stopped by a signal'
+    (folder / 'log.txt').unlink()
+    os.mkfifo(folder / 'log.txt')
+    assert why_ended(folder, 2) == 'its process ended with code 2'
 
 
 def test_a_run_ends_with_what_started_it(folder):

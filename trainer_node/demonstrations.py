@@ -145,6 +145,8 @@ def collect(
     returns, distances = [], []
     segment_end = None
     for decision in as_decisions(transitions, description.stack_seconds, counts):
+        if decision.step.ended:
+            returns.append(decision.step.episode_return)
         try:
             reward = shaping.reward(decision)
             after = preprocess(decision.next_frame)
@@ -160,8 +162,6 @@ def collect(
         distances.append(distance)
         kept.append((first, (action, reward, after, shaping.terminated(decision))))
         segment_end = None if decision.step.ended else decision.next_stamp
-        if decision.step.ended:
-            returns.append(decision.step.episode_return)
     if not distances:
         raise LearningError('the demonstrations hold no transition')
     replay = make_replay(settings, counts['observations'])
@@ -263,7 +263,7 @@ def read_demonstrations(path: Path, settings: Hyperparameters) -> Demonstrations
         if not (np.all((arrays['actions'] >= -1) & (arrays['actions'] < len(space)))
                 and np.isfinite(arrays['rewards']).all()):
             raise ValueError('an action that there is not, or a reward that is none')
-    except (KeyError, ValueError, TypeError, AttributeError, IndexError) as error:
+    except (KeyError, ValueError, TypeError, AttributeError, IndexError, OverflowError) as error:
         if isinstance(error, RunError):
             raise
         raise RunError(f'{path}: damaged demonstrations: {str(error)[:200]}') from None

@@ -13,7 +13,6 @@ The one order in which a run is driven: by the node, from bags and in a single p
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-import functools
 from pathlib import Path
 import queue
 import time
@@ -25,6 +24,8 @@ from trainer_node.training import Training
 
 # updates from demonstrations between two turns, so that a run can be stopped meanwhile
 PRETRAINED_AT_ONCE = 10
+# validations that may wait for a turn; of more nobody has asked for
+MOST_WAITING = 100
 # a snapshot of the figures is taken every so many transitions
 STATUS_EVERY = 20
 
@@ -75,7 +76,9 @@ class Driver:
         self._publish = publish
         self._last_validation_seconds = last_validation_seconds
         self._say, self._warn = say, warn
-        self._requests: queue.SimpleQueue[Callable[[], object]] = queue.SimpleQueue()
+        self._validations: queue.Queue[Mapping[str, float]] = queue.Queue(MOST_WAITING)
+        # once at the next turn, however often they were asked for until then
+        self._wants_save = self._wants_validation = False
         self._last_version = -1
         self._give_up_at = 0.0
         self._hand_out()
@@ -87,15 +90,18 @@ class Driver:
 
     def request_save(self) -> None:
         """Let a checkpoint be written at the next turn."""
-        self._requests.put(self._save)
+        self._wants_save = True
 
     def request_validation(self) -> None:
         """Let weights go out for validation at the next turn."""
-        self._requests.put(functools.partial(self._hand_out, validate=True))
+        self._wants_validation = True
 
     def validated(self, values: Mapping[str, float]) -> None:
         """Take the result of a validation, `step.VALIDATION_FIELDS`, at the next turn."""
-        self._requests.put(functools.partial(self._take_validation, values))
+        try:
+            self._validations.put_nowait(values)
+        except queue.Full:
+            self._warn('validation', 'left out: results come faster than they are taken')
 
     def add(self, transition: Transition, source: str = '') -> None:
         """
@@ -126,8 +132,14 @@ class Driver:
         Raises:
             RunError: a file cannot be written.
         """
-        while not self._requests.empty():
-            self._requests.get()()
+        for _ in range(self._validations.qsize()):
+            self._take_validation(self._validations.get())
+        if self._wants_save:
+            self._wants_save = False
+            self._save()
+        if self._wants_validation:
+            self._wants_validation = False
+            self._hand_out(validate=True)
         if self.ended:
             if not self.done and time.monotonic() > self._give_up_at:
                 self._warn('validation', 'no validation of the last weights came in time')

@@ -19,6 +19,7 @@ from dqn_policy_node.model_description import (
     GRAYS, MAX_FRAME_SIDE, ModelDescription, Network, parse_convolutions, Preprocessing, ROADS,
 )
 from msgs_bridge.errors import SettingsError
+from msgs_bridge.plain_text import plain
 from msgs_bridge.regular_file import read_regular
 from msgs_bridge.seeds import is_validation, TRAINING, training_seed, VALIDATION
 from msgs_bridge.settings import from_mapping, setting
@@ -458,7 +459,7 @@ def load_preset(
         try:
             path = share_path(Path('config') / f'{name_or_path}.yaml')
         except OSError:
-            raise SettingsError(f'no preset {str(name_or_path)!r}: neither a file nor one of '
+            raise SettingsError(f'no preset {plain(name_or_path)!r}: neither a file nor one of '
                                 f"the package's, which are {', '.join(preset_names())}") from None
     text = read_regular(path, MAX_PRESET_BYTES, SettingsError).decode('utf-8', 'replace')
     values = load_yaml(text, str(path), SettingsError)

@@ -12,6 +12,7 @@ from collections import Counter, deque
 import dataclasses
 import math
 from typing import Any
+from weakref import WeakValueDictionary
 
 import numpy as np
 import torch
@@ -123,6 +124,8 @@ class Learning:
         self._only = SourceState(0)
         self.sources: dict[str, SourceState] = {}
         self.returns: deque[float] = deque(maxlen=MOVING_AVERAGE_EPISODES)
+        # what the segment of a source ended with, by its number, while its next transition has it
+        self._last_frames: WeakValueDictionary[int, np.ndarray] = WeakValueDictionary()
 
     def _empty_replay(self) -> tuple[ReplayBuffer, ReplayRatioLimiter]:
         settings = self.settings
@@ -160,7 +163,7 @@ class Learning:
         next_observation = self._counted(
             of, 'foreign_frames', self._preprocess, transition.next_frame)
         reward = self._counted(of, 'bad_steps', self._shaping.reward, transition)
-        goes_on = transition.stamp == segment_end
+        goes_on = transition.stamp == segment_end and self._goes_on(of, transition.frame)
         if not goes_on or not self.replay.can_add(of.number):
             self.replay.start(
                 self._counted(of, 'foreign_frames', self._preprocess, transition.frame),
@@ -168,12 +171,25 @@ class Learning:
         self.replay.add(
             action, reward, next_observation, terminated=self._shaping.terminated(transition),
             source=of.number)
+        self._last_frames.pop(of.number, None)
         if not transition.step.ended:
             of.segment_end = transition.next_stamp
+            self._last_frames[of.number] = transition.next_frame
         self.decisions += 1
         of.decisions += 1
         self.limiter.insert()
         return goes_on
+
+    def _goes_on(self, of: SourceState, frame: np.ndarray) -> bool:
+        """
+        Return whether a source has ended its segment with a frame.
+
+        The stamp alone does not say so: a simulator that is started again uses its stamps again.
+        """
+        return frame is self._last_frames.get(of.number) or (
+            self.replay.can_add(of.number) and np.array_equal(
+                self._counted(of, 'foreign_frames', self._preprocess, frame),
+                self.replay.newest(of.number)))
 
     def source(self, name: str) -> SourceState:
         """

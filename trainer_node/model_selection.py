@@ -16,12 +16,17 @@ import numpy as np
 import torch
 
 from msgs_bridge.errors import MessageError
-from msgs_bridge.step import VALIDATION_FIELDS
+from msgs_bridge.step import MAX_REWARD, MAX_WHOLE, VALIDATION_FIELDS
 from trainer_node.hyperparameters import Hyperparameters
-from trainer_node.saved_state import Seconds
+from trainer_node.saved_state import is_finite, Seconds
 
 # versions sent out for validation whose results have not come back
 MAX_PENDING = 4
+# what a result may be; who says more has measured nothing
+_ACCEPTED = {
+    'version': (0, MAX_WHOLE), 'episodes': (1, MAX_WHOLE), 'std': (0, MAX_REWARD),
+    'completed': (0, 1), 'seconds': (0, MAX_WHOLE),
+    **dict.fromkeys(('mean', 'minimum', 'maximum'), (-MAX_REWARD, MAX_REWARD))}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -156,20 +161,23 @@ class ModelSelection:
             What it says; None for a version that was not asked for, or was answered already.
 
         Raises:
-            MessageError: a field is missing, or it or the score is not finite.
+            MessageError: a field is missing, or no result can have it; the version is still
+                waited for.
         """
         for name in VALIDATION_FIELDS:
             if name not in values or not math.isfinite(values[name]):
                 raise MessageError(f'validation lacks {name!r} or it is not finite')
-        found = self._pending.pop(int(values['version']), None)
+            low, high = _ACCEPTED[name]
+            if not low <= values[name] <= high:
+                raise MessageError(
+                    f'{name} of a validation is {values[name]:g}; accepted: {low:g} to {high:g}')
+        found = self._pending.pop(values['version'], None)
         if found is None:
             return None
         moment, tensors = found
         self.last = {
             **{name: values[name] for name in VALIDATION_FIELDS}, **dataclasses.asdict(moment)}
         score = self._score(values)
-        if not math.isfinite(score):
-            raise MessageError(f'the score of a validation is {score}')
         better = not self.best or score > self.best['score']
         if better:
             self.best = {'score': score, **self.last}
@@ -178,20 +186,22 @@ class ModelSelection:
     def _score(self, values: Mapping[str, float]) -> float:
         return values['mean'] - self._settings.validation_spread_weight * values['std']
 
-    def best_was(self, row: object) -> None:
+    def best_is(self, row: object) -> None:
         """
-        Take note of what lies in `best/`, if it is better than what the checkpoint knows.
+        Take note of what lies in `best/`, whatever the checkpoint says of it.
 
-        A session that was killed may have put it there after its last checkpoint.
+        A session that was killed may have put it there after its last checkpoint, one that could
+        not write may have left a worse one, and somebody may have removed it.
 
         Args:
-            row: the `best` of that session; whatever else is passed over.
+            row: the `best` of the session that has written it; None where there is no model. Of
+                one that does not say, the checkpoint is believed.
         """
-        if isinstance(row, dict) and row.keys() == _ROW | {'score'} and all(
-                type(value) in (int, float) and math.isfinite(value) for value in row.values()):
-            score = self._score(row)
-            if math.isfinite(score) and (not self.best or score > self.best['score']):
-                self.best = {**row, 'score': score}
+        if row is None:
+            self.best = {}
+        elif isinstance(row, dict) and row.keys() == _ROW | {'score'} and all(
+                map(is_finite, row.values())):
+            self.best = {**row, 'score': self._score(row)}
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the weights that are being validated."""
@@ -213,9 +223,9 @@ class ModelSelection:
         self._validation_decisions = state.validation_decisions
         self._validation_seconds = state.validation_seconds
         self.best, self.last = state.best, state.last
-        if (self.best or self.last) and (
-                self.best.keys() != _ROW | {'score'} or self.last.keys() != _ROW):
-            raise ValueError('its validations lack a figure')
+        for row, figures in ((self.best, _ROW | {'score'}), (self.last, _ROW)):
+            if row and row.keys() != figures:
+                raise ValueError('its validations lack a figure')
         if self.best:
             # by the weight of the spread that holds now
             self.best = {**self.best, 'score': self._score(self.best)}

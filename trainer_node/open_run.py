@@ -6,11 +6,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 import dataclasses
 from pathlib import Path
+import shutil
 from types import MappingProxyType
 from typing import Any, NamedTuple, TYPE_CHECKING
 
-from msgs_bridge.errors import SettingsError
+from msgs_bridge.errors import BridgeError, SettingsError
 from msgs_bridge.machine import computes_bfloat16
+from msgs_bridge.plain_text import plain
 from msgs_bridge.settings import parse_text
 from trainer_node.checkpoint import Checkpoint, refuse_differences
 from trainer_node.errors import RunError
@@ -32,7 +34,7 @@ def read_overrides(pairs: Iterable[str]) -> dict[str, Any]:
     for pair in pairs:
         name, equals, text = (part.strip() for part in pair.partition('='))
         if not equals:
-            raise SettingsError(f'{pair!r}; expected NAME=VALUE')
+            raise SettingsError(f'{plain(pair)!r}; expected NAME=VALUE')
         overrides[name] = parse_text(Hyperparameters, name, text)
     return overrides
 
@@ -107,11 +109,15 @@ def open_training(
     # on first use, because torch takes a second to load
     from trainer_node.training import Training
     run = RunFolder(folder)
-    if run.path.is_dir():
-        # before anything of another one's is touched
-        run.lock()
+    # before anything of another one's is touched, which may be beginning at this moment
+    new = not resume and run.make()
+    run.lock()
     if resume and not run.unfinished_start:
         return Training.resume(folder, settings, **options)
-    training = Training.create(settings, folder, **options)
-    run.lock()
-    return training
+    try:
+        return Training.create(settings, folder, **options)
+    except BridgeError:
+        if new:
+            run.unlock()
+            shutil.rmtree(run.path, ignore_errors=True)
+        raise

@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from trainer_node.errors import LearningError
 from trainer_node.hyperparameters import Hyperparameters
 from trainer_node.stack_gather import gather_stacks
 
@@ -104,6 +105,10 @@ class ReplayBuffer:
         """Return whether the newest observation of a source will outlast the next one."""
         newest = self._newest.get(source)
         return newest is not None and newest > self.written - self.capacity
+
+    def newest(self, source: int = 0) -> np.ndarray:
+        """Return the newest observation of a source for which `can_add` holds, uint8 (H, W)."""
+        return self._observations[self._newest[source] % self.capacity]
 
     def add(
         self, action: object, reward: float, next_observation: np.ndarray, *, terminated: bool,
@@ -292,13 +297,25 @@ class ReplayBuffer:
 
 
 def make_replay(settings: Hyperparameters, capacity: int) -> ReplayBuffer:
-    """Return an empty buffer for the model and the returns of a run."""
+    """
+    Return an empty buffer for the model and the returns of a run.
+
+    Raises:
+        LearningError: there is no memory for it.
+    """
     description = settings.model_description()
     space = description.action_space
-    return ReplayBuffer(
-        capacity, description.preprocessing.shape, frame_stack=settings.frame_stack,
-        n_steps=settings.n_steps, gamma=settings.gamma, action_dtype=space.dtype,
-        action_shape=space.shape)
+    try:
+        return ReplayBuffer(
+            capacity, description.preprocessing.shape, frame_stack=settings.frame_stack,
+            n_steps=settings.n_steps, gamma=settings.gamma, action_dtype=space.dtype,
+            action_shape=space.shape)
+    except MemoryError:
+        height, width = description.preprocessing.shape
+        raise LearningError(
+            f'a replay of {capacity} observations of {width}x{height} takes '
+            f'{capacity * height * width / 2**30:.0f} GiB, which this machine does not give; set '
+            'replay_capacity lower, or shrink higher') from None
 
 
 def sample_both(

@@ -48,6 +48,21 @@ class RunFolder:
         return self.config.is_file() and not any(
             path.exists() for path in (self.checkpoint, self.best, self.final))
 
+    def make(self) -> bool:
+        """
+        Make an empty folder; return whether there was none.
+
+        Raises:
+            RunError: the place cannot be written.
+        """
+        try:
+            self.path.mkdir(parents=True)
+        except FileExistsError:
+            return False
+        except OSError as error:
+            raise RunError(f'{self.path}: {error.strerror}') from None
+        return True
+
     def create(self) -> None:
         """
         Make the folder; what is left of a run without a checkpoint is removed.
@@ -55,16 +70,17 @@ class RunFolder:
         Raises:
             RunError: a run is there already, or the place cannot be written.
         """
-        if self.unfinished_start:
-            for path in (
-                    self.record, self.episodes, self.validation, self.updates, self.cars):
-                path.unlink(missing_ok=True)
-        elif self.config.exists() or self.checkpoint.exists():
-            raise RunError(f'{self.path} holds a run already; resume it or name another folder')
         try:
+            if self.unfinished_start:
+                for path in (
+                        self.record, self.episodes, self.validation, self.updates, self.cars):
+                    path.unlink(missing_ok=True)
+            elif self.config.exists() or self.checkpoint.exists():
+                raise RunError(
+                    f'{self.path} holds a run already; resume it or name another folder')
             self.checkpoint.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise RunError(f'{self.path}: {error.strerror}') from None
+            raise RunError(f'{error.filename or self.path}: {error.strerror}') from None
 
     def lock(self) -> None:
         """

@@ -11,7 +11,7 @@ somebody else will check. A field with a default may be missing: it is younger t
 from __future__ import annotations
 
 import dataclasses
-import math
+import sys
 import types
 from typing import Annotated, Any, get_args, get_origin, get_type_hints, TypeVar, Union
 
@@ -22,8 +22,8 @@ Seconds = Annotated[float, 'seconds']
 Stamp = Annotated[int, 'ns']
 # a float64 holds every whole number up to here, and no run counts further
 MAX_COUNT = 2**53
-# the seconds of a stamp are an int32
-MAX_STAMP = 2**31 * 10**9
+# the seconds of a stamp are an int32, its nanoseconds a uint32, and nobody refuses odd ones
+MAX_STAMP = 2**31 * 10**9 + 2**32
 
 
 def from_json(kind: type[Kind], values: Any, path: str) -> Kind:
@@ -72,12 +72,17 @@ def _checked(hint: Any, value: Any, path: str) -> Any:
         return value
     if hint == Stamp and type(value) is int and abs(value) <= MAX_STAMP:
         return value
-    if hint in (float, Seconds) and type(value) in (int, float) and math.isfinite(value) and (
-            hint is float or value >= 0):
+    if hint in (float, Seconds) and is_finite(value) and (hint is float or value >= 0):
         return value
     if hint in (bool, str) and type(value) is hint:
         return value
     raise RunError(f'{path[:200]} is {_shown(value)}; expected {_in_words(hint)}')
+
+
+def is_finite(value: Any) -> bool:
+    """Return whether a JSON value is a number that a float can be."""
+    # comparing takes any int, where math.isfinite raises
+    return type(value) in (int, float) and abs(value) <= sys.float_info.max
 
 
 def _in_words(hint: Any) -> str:

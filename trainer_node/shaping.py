@@ -194,19 +194,23 @@ class Shaping:
         Raises:
             LearningError, MessageError: as `terms`; a reward beyond MAX_REWARD is a MessageError.
         """
-        reward = self._settings.reward_scale * (
-            transition.step.reward + math.fsum(self.terms(transition).values()))
+        terms = self.terms(transition).values()
+        try:
+            points = math.fsum(terms)
+        except (ValueError, OverflowError):
+            # of infinite ones of both signs, or beyond any float
+            points = math.nan
+        reward = self._settings.reward_scale * (transition.step.reward + points)
         if not abs(reward) <= MAX_REWARD:
             raise MessageError(f'the shaped reward is {reward}; accepted: up to {MAX_REWARD:g}')
         return reward
 
     def terminated(self, transition: Transition) -> bool:
         """Return whether nothing is worth anything after a transition."""
-        if self._settings.truncated_terminal and transition.step.ended:
-            return True
-        return transition.terminated or (
-            self._settings.early_end_terminal
-            and transition.step.info.get('ended_early', 0.0) > 0)
+        settings, step = self._settings, transition.step
+        return transition.terminated or (step.ended and (
+            settings.truncated_terminal
+            or settings.early_end_terminal and step.info.get('ended_early', 0.0) > 0))
 
 
 def standing_points(settings: Hyperparameters, standing: int, new: int) -> float:

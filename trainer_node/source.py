@@ -35,6 +35,8 @@ LOSSES = {
     'lost_image': 'their images are missing', 'lost_twist': 'the twists that were applied to '
     'them are missing', 'lost_step': 'steps between them are missing',
     'unanswered': 'no twist was applied', 'odd_step': 'stamps of step do not follow each other',
+    'after_end': 'their episode had ended',
+    'twofold': 'different messages have one stamp, as when two publish a topic',
 }
 
 

@@ -50,6 +50,10 @@ class SourceNames:
                     f'sources has {plain(one)!r}; accepted: namespaces such as /car_1, or '
                     'patterns of them such as /car_*, separated by commas')
             wanted.append(one if one.startswith('/') else f'{namespace.rstrip("/")}/{one}')
+        # what is named twice is one car, of which everything would be learned twice
+        wanted = list(dict.fromkeys(wanted))
+        if len(wanted) > MOST:
+            raise SettingsError(f'sources has {len(wanted)} names; accepted: up to {MOST}')
         self.given = tuple(one for one in wanted if not _WILD.search(one))
         self._patterns = [
             re.compile(one.replace('*', '[^/]*').replace('?', '[^/]'))

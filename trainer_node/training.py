@@ -12,7 +12,6 @@ Who drives a run lets a `Driver` (`trainer_node/driver.py`) ask what is due when
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-import contextlib
 import dataclasses
 from pathlib import Path
 import shutil
@@ -26,7 +25,7 @@ from dqn_policy_node.model_folder import load_model, Model, save_model
 from dqn_policy_node.model_record import read_model_record
 from dqn_policy_node.shipped_models import find_model
 from dqn_policy_node.weights_message import AXES_SHARE, encode_weights
-from msgs_bridge.errors import BridgeError
+from msgs_bridge.errors import BridgeError, MessageError
 from msgs_bridge.machine import describe_machine
 from msgs_bridge.transitions import Transition
 from trainer_node.checkpoint import Checkpoint, Part, refuse_differences
@@ -157,9 +156,11 @@ class Training:
         folder.remove_leftovers()
         training = cls(settings, folder, device=device, tensorboard=tensorboard, clock=clock)
         training._checkpoint.restore(saved, training._parts, training.learning.replay)
-        with contextlib.suppress(ModelError):
-            training.selection.best_was(
-                read_model_record(folder.best).training.get('best_validation'))
+        try:
+            training.selection.best_is(
+                read_model_record(folder.best).training.get('best_validation') or '')
+        except ModelError:
+            training.selection.best_is(None)
         training._saved_seconds = training.wall_seconds
         training._begin_session(folder.read_record())
         if settings != saved.settings:
@@ -252,19 +253,24 @@ class Training:
 
         Raises:
             LearningError: the loss is not finite, or a shaping term lacks what it needs.
-            MessageError: the transition is left out, as `Learning.insert` says.
+            MessageError: the transition is left out, as `Learning.insert` says. If an episode
+                ended with it, that has ended all the same.
         """
         learning, updates = self.learning, self.learning.learner.updates
+        left_out: MessageError | None = None
         try:
             goes_on = learning.insert(transition, source)
             if self.tuner is not None:
                 self.tuner.took(transition.command, source, goes_on=goes_on)
             while learning.due:
                 self._update()
+        except MessageError as error:
+            left_out = error
         except LearningError as error:
             self._failure = error
             raise
-        ended = transition.step.ended
+        # nothing is remembered of a source for which there was no room
+        ended = transition.step.ended and (not source or source in learning.sources)
         if ended:
             epsilon = self.acting_epsilon
             learning.end_episode(transition.step.episode_return, source)
@@ -275,6 +281,8 @@ class Training:
                 transition.step, learning, epsilon=epsilon, version=self.version,
                 seconds=self.wall_seconds, source=source)
         self.selection.ask_when_due(self.moment, episode_ended=ended)
+        if left_out is not None:
+            raise left_out
         return learning.learner.updates - updates
 
     @property
@@ -377,6 +385,7 @@ class Training:
             values[AXES_SHARE] = self.tuner.share
         if self.selection.last:
             values['validation_mean'] = self.selection.last['mean']
+        if self.selection.best:
             values['best_validation'] = self.selection.best['mean']
         return values
 
@@ -392,12 +401,13 @@ class Training:
             How many of its first transitions the run has taken before.
         """
         found = self._record.noted(SOURCE)
-        if not isinstance(found, dict) or found.get('names') != names or not isinstance(
-                found.get('first'), int):
+        first = found.get('first') if isinstance(found, dict) else None
+        if type(first) is not int or not 0 <= first <= self.learning.taken or (
+                found.get('names') != names):
             found = {'names': names, 'first': self.learning.taken, 'run_decisions': limit}
             self._record.note(SOURCE, found)
             self._write_run()
-        return max(self.learning.taken - found['first'], 0)
+        return self.learning.taken - found['first']
 
     def checkpoint_due(self) -> bool:
         """Return whether it is time to `save`."""

@@ -22,6 +22,10 @@ from msgs_bridge.twists import Command
 from trainer_node.hyperparameters import Hyperparameters
 
 
+MOST_SERIES = 10_000
+"""What is remembered of; the record of a model, in which they are, is to stay readable."""
+
+
 @dataclasses.dataclass(frozen=True)
 class Series:
     """
@@ -57,7 +61,7 @@ class Tuner:
     Attributes:
         State: what `state` returns.
         share: that of the episodes from now on, 0 to 1.
-        series: those that have ended.
+        series: those that have ended last, up to `MOST_SERIES`.
     """
 
     State = TunerState
@@ -101,6 +105,7 @@ class Tuner:
             return False
         commands, axes = _mean(self._of_commands), _mean(self._of_axes)
         self.series.append(Series(episodes, self.share, commands, axes))
+        del self.series[:-MOST_SERIES]
         if commands is not None and axes is not None and commands != axes:
             step = math.copysign(self._settings.tuner_step, axes - commands)
             least = self._settings.tuner_least

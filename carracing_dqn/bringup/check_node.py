@@ -25,6 +25,7 @@ from msgs_bridge.qos import qos_profile
 from msgs_bridge.stamps import to_nanoseconds
 from msgs_bridge.twists import Command, fill_twist
 import rclpy
+from rclpy.duration import Duration
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 
 # Fast DDS announces itself every 3 s, and one announcement may get lost
@@ -35,6 +36,8 @@ SETTLE_SECONDS = 1.0
 # move by itself
 LEFT, RIGHT = ('left', 0.175, Command(0.2, 1.0)), ('right', 0.175, Command(0.2, -1.0))
 PHASES = (('', 0.3, Command(0.4, 0.0)), LEFT, RIGHT, LEFT, RIGHT)
+# how long the last twist, which lets it stand, may take to arrive
+ACK_SECONDS = 0.5
 # frames that are kept of each phase
 MAX_FRAMES = 300
 MAX_IMAGES = 100_000
@@ -106,15 +109,23 @@ class _Look:
                 self._node, message_class(wanted), self._image_name, self._on_image,
                 qos_profile(topics.IMAGE))
             subscription.watch()
-            for phase in PHASES if self._publisher else PHASES[:1]:
-                self._phase = phase
-                self._seen.frames.append((phase[0], []))
-                self._spin(seconds * (phase[1] if self._publisher else 1.0))
-            if self._publisher is not None:
-                self._publisher.publish(self._twist(self._stage.stop(), None))
+            try:
+                for phase in PHASES if self._publisher else PHASES[:1]:
+                    self._phase = phase
+                    self._seen.frames.append((phase[0], []))
+                    self._spin(seconds * (phase[1] if self._publisher else 1.0))
+            finally:
+                # after Ctrl-C, too: a robot may hold the last twist for good
+                self._stop()
         # those who answer images may have come since
         self._note_graph()
         return self._seen
+
+    def _stop(self) -> None:
+        """Let what was driven stand, and wait until it has heard that."""
+        if self._publisher is not None:
+            self._publisher.publish(self._twist(self._stage.stop(), None))
+            self._publisher.wait_for_all_acked(Duration(seconds=ACK_SECONDS))
 
     def _spin(self, seconds: float) -> None:
         until = time.monotonic() + seconds

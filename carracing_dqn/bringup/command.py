@@ -95,10 +95,6 @@ def main(words: list[str] | None = None) -> int:
 
 
 def _run(words: list[str]) -> int:
-    if words == ['--version']:
-        # in a checkout it asks git, which nobody else need wait for
-        sys.stdout.write(f'carracing {code_version()}\n')
-        return 0
     parser = Parser(prog='carracing', description=__doc__)
     parser.add_argument('--version', action='store_true',
                         help='print the version, and in a checkout the commit')
@@ -111,6 +107,10 @@ def _run(words: list[str]) -> int:
                 module = importlib.import_module(module_name)
             module.add_arguments(subparser)
     arguments = parser.parse_args(words)
+    if arguments.version:
+        # in a checkout it asks git, which nobody else need wait for
+        sys.stdout.write(f'carracing {code_version()}\n')
+        return 0
     if arguments.subcommand is None:
         parser.print_help()
         return 0

@@ -34,7 +34,8 @@ class Display:
         self._said = ''
 
     def __enter__(self) -> Display:
-        if self._console.is_terminal:
+        # one that cannot move its cursor shows no table before the end
+        if self._console.is_terminal and not self._console.is_dumb_terminal:
             self._live = Live(console=self._console, refresh_per_second=4, transient=False)
             self._live.__enter__()
         return self

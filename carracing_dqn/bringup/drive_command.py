@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 from pathlib import Path
+import shlex
 import time
 
 from carracing_dqn.bringup.display import Display
@@ -61,7 +62,7 @@ def main(arguments: argparse.Namespace) -> int:
     trainer = find_trainer(namespace, arguments.wait)
     if trainer.simulator != arguments.simulator:
         raise BridgeError(f'the trainer learns in {trainer.simulator!r}; start this car with '
-                          f'--simulator {trainer.simulator}')
+                          f'--simulator {shlex.quote(trainer.simulator)}')
     car = free_car(trainer.taken) if arguments.car is None else arguments.car
     if car in trainer.taken:
         raise BridgeError(f'{namespace}/{car_space(car)} drives already; give another --car')

@@ -32,10 +32,12 @@ def run_graph(model: str, seeds: range, bag: Path | None) -> Iterator[dict[str, 
         bag: folder of a new bag, or None.
 
     Raises:
-        BridgeError: a node ended early, or the bag folder is there already.
+        BridgeError: a node ended early, or the bag folder is there already or cannot be made.
     """
     if bag is not None and bag.exists():
         raise BridgeError(f'{bag} exists already; choose another folder for the bag')
+    if bag is not None and not bag.parent.is_dir():
+        raise BridgeError(f'{bag}: there is no folder {bag.parent}')
     check_machine()
     space = f'evaluate_{os.getpid()}'
     monitor = Monitor(space)

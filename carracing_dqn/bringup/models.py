@@ -27,7 +27,9 @@ def choose_model(name: str | None) -> str:
     if name == RANDOM:
         return name
     if name is not None:
-        return str(find_model(name))
+        # a folder that is called random is no dummy agent
+        path = str(find_model(name))
+        return os.path.join('.', path) if path == RANDOM else path
     for candidate in BEST_FIRST:
         with contextlib.suppress(BridgeError):
             return str(find_model(candidate))
@@ -58,10 +60,15 @@ def as_parameter(model: str, folder: Path | str) -> str:
     """
     if model == RANDOM:
         return model
+    name = Path(model).name
     with contextlib.suppress(OSError):
-        if share_path(Path('models') / Path(model).name).samefile(model):
-            return Path(model).name
-    return os.path.relpath(Path(model).resolve(), Path(folder).resolve())
+        # a node takes a folder of that name where it is, and only then a shipped model
+        if share_path(Path('models') / name).samefile(model) and not os.path.lexists(
+                Path(folder) / name):
+            return name
+    path = os.path.relpath(os.path.realpath(model), os.path.realpath(folder))
+    # alone it could be the name of a shipped model, or random
+    return path if os.sep in path else os.path.join('.', path)
 
 
 def identity(model: str) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from types import MappingProxyType
 from typing import Any
 
 from carracing_dqn.bringup.graph import Graph, RECORDER, SIMULATOR
+from carracing_dqn.evaluation.workers import open_at_once
 from msgs_bridge.errors import BridgeError
 from msgs_bridge.exit_codes import INTERRUPTED
 from msgs_bridge.plain_text import plain
@@ -62,7 +63,7 @@ def node_command(
     """
     command = [
         sys.executable, '-m', 'carracing_dqn.bringup.child', '--parent', str(os.getpid()),
-        '--nice', str(nice), '--folder', str(folder), *(['--supervised'] if supervised else []),
+        '--nice', str(nice), f'--folder={folder}', *(['--supervised'] if supervised else []),
         '-m', module, '--ros-args']
     if namespace:
         command += ['-r', f'__ns:=/{namespace.strip("/")}']
@@ -107,7 +108,8 @@ class Child:
         environment = {'OMP_NUM_THREADS': '1', **os.environ, 'PYTHONUNBUFFERED': '1',
                        'RCUTILS_COLORIZED_OUTPUT': '0'}
         # not `with`: the reading thread has it until the process ends
-        file = log.open('a', encoding='utf-8')
+        file = os.fdopen(open_at_once(log, os.O_WRONLY | os.O_APPEND | os.O_CREAT), 'a',
+                         encoding='utf-8')
         # a session of its own, so that Ctrl-C in a terminal reaches only this process
         self.process = subprocess.Popen(
             list(command), stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,

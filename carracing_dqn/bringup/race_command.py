@@ -4,8 +4,9 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 import dataclasses
+import math
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +15,10 @@ from carracing_dqn.bringup.graph import RACE, race_graph
 from carracing_dqn.bringup.monitor import absolute_namespace, GraphState, Monitor
 from carracing_dqn.bringup.provenance import with_provenance
 from carracing_dqn.bringup.run_command import laps_line, laps_table
-from carracing_dqn.bringup.run_folders import default_folder, new_folder
+from carracing_dqn.bringup.run_folders import default_folder, new_folder, shell_word
 from carracing_dqn.bringup.supervise import check_machine, refuse_second_simulator, run_to_the_end
 from carracing_dqn.evaluation.evaluate_command import DEFAULT_MODEL
-from carracing_dqn.evaluation.laps import drive_lap, Lap, lap_of
+from carracing_dqn.evaluation.laps import drive_lap, Lap, lap_of, MAX_FRAMES
 from carracing_dqn.evaluation.policies import model_source, PolicySource
 from carracing_dqn.evaluation.progress import LapProgress
 from carracing_dqn.evaluation.results import Results, write_json
@@ -95,7 +96,8 @@ def main(arguments: argparse.Namespace) -> int:
         monitor.close()
     person = Results(
         {'kind': PERSON, 'name': PERSON, 'speed': arguments.speed}, 'graph',
-        laps=person_laps(monitor.state), wanted=arguments.laps, machine=describe_machine())
+        laps=person_laps(monitor.state, model.laps), wanted=arguments.laps,
+        machine=describe_machine())
     if person.laps:
         write_json(folder / 'person.json', person)
         console.print(race_table(person, model, source.name))
@@ -104,7 +106,8 @@ def main(arguments: argparse.Namespace) -> int:
         display.say('no lap was begun')
     bag = folder / 'bag'
     if bag.is_dir():
-        display.say(f'bag: {bag}  (learn from it: carracing train --demonstrations {bag})')
+        display.say(f'bag: {bag}  (learn from it: carracing train --demonstrations '
+                    f'{shell_word(bag)})')
     return INTERRUPTED if interrupted else 0
 
 
@@ -146,18 +149,25 @@ def _drive_rival(simulator: Simulator, policy: Any, seed: int) -> tuple[Lap, Riv
     return lap, Rival(seed, returns, tiles, bool(lap.lap_finished))
 
 
-def person_laps(state: GraphState) -> dict[int, Lap]:
-    """Return the laps that were driven by seed, the one that was left with what it had."""
-    laps = [lap_of(int(summary['seed']), summary['episode_return'], int(summary['step']), summary,
-                   0.0) for summary in state.episodes]
+def person_laps(state: GraphState, seeds: Collection[int]) -> dict[int, Lap]:
+    """
+    Return the laps that were driven by seed, the one that was left with what it had.
+
+    Args:
+        state: of the graph, in which anybody may say anything.
+        seeds: of the tracks of the race; of others nothing is taken.
+    """
     names = ('seed', 'episode_return', 'step', 'tiles_visited', 'tiles_total')
-    left = {name: state.value(RACE.name, name) for name in names}
     # NaN where no lap was under way
-    if left['step'] > 0 and left['seed'] not in [lap.seed for lap in laps]:
-        laps.append(lap_of(int(left['seed']), left['episode_return'], int(left['step']), {
-            **{name: value for name, value in left.items() if value == value},
-            'lap_finished': False}, 0.0))
-    return {lap.seed: lap for lap in laps}
+    left = {**{name: state.value(RACE.name, name) for name in names}, 'lap_finished': 0.0}
+    laps: dict[int, Lap] = {}
+    for summary in (*state.episodes, left):
+        seed, frames = summary['seed'], summary.get('step', 0.0)
+        if seed in seeds and seed not in laps and 1 <= frames <= MAX_FRAMES and (
+                math.isfinite(summary['episode_return'])):
+            laps[int(seed)] = lap_of(
+                int(seed), summary['episode_return'], int(frames), summary, 0.0)
+    return laps
 
 
 def race_table(person: Results, model: Results, name: str) -> Table:

@@ -11,7 +11,7 @@ from carracing_dqn.bringup.graph import driving_graph, Graph, SIMULATOR
 from carracing_dqn.bringup.models import action_repeat, as_parameter, choose_model, identity
 from carracing_dqn.bringup.monitor import absolute_namespace, GraphState, Monitor
 from carracing_dqn.bringup.provenance import with_provenance
-from carracing_dqn.bringup.run_folders import default_folder, new_folder
+from carracing_dqn.bringup.run_folders import default_folder, new_folder, shell_word
 from carracing_dqn.bringup.supervise import check_machine, refuse_second_simulator, run_to_the_end
 from carracing_dqn.simulation.profiles import profile_of, seen_from
 from carracing_dqn.simulation.registry import CARRACING, frame_seconds
@@ -71,7 +71,7 @@ def main(arguments: argparse.Namespace) -> int:
         monitor.close()
     bag = folder / 'bag'
     if bag.is_dir():
-        display.say(f'bag: {bag}  (look: carracing bag info {bag})')
+        display.say(f'bag: {bag}  (look: carracing bag info {shell_word(bag)})')
         # who stops it from elsewhere wants its end at once
         wanted = not interrupted or display.on_terminal
         if wanted and monitor.state.ended and arguments.simulator in CARRACING:

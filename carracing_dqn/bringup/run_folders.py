@@ -4,11 +4,18 @@
 from __future__ import annotations
 
 from pathlib import Path
+import shlex
 import time
 
 from msgs_bridge.errors import BridgeError
 
 LOGS = 'log'
+
+
+def shell_word(path: Path) -> str:
+    """Return a path as it may be pasted into a shell, where it is no option either."""
+    text = str(path)
+    return shlex.quote(f'./{text}' if text.startswith('-') else text)
 
 
 def default_folder(prefix: str) -> Path:

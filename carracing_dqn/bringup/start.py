@@ -18,15 +18,21 @@ FEWEST_FILES = 32
 
 ENOUGH_FILES = 1024
 
+LEAST_MEMORY = 384 << 20
+"""Bytes of address space with less of which libraries end the process while they are loaded."""
+
 
 def _starting(module: str, interrupted: int = 0) -> Callable[[], int]:
     """Return a `main` that imports a module's, which takes seconds, and runs it."""
     def main() -> int:
         _fill_streams()
-        files = _allow_open_files()
+        files, memory = _allow_open_files(), resource.getrlimit(resource.RLIMIT_AS)[0]
         if files < FEWEST_FILES:
             reason = (f'only {files} files may be open at once, {FEWEST_FILES} is the least: '
                       f'`ulimit -n {ENOUGH_FILES}` allows more')
+        elif memory != resource.RLIM_INFINITY and memory < LEAST_MEMORY:
+            reason = (f'only {memory >> 20} MiB of memory may be used, {LEAST_MEMORY >> 20} is '
+                      'the least: `ulimit -v unlimited` allows more')
         else:
             try:
                 with ends_when_interrupted(interrupted):

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 import contextlib
+import fcntl
+import os
 from pathlib import Path
 import resource
 import time
@@ -14,6 +16,7 @@ from carracing_dqn.bringup.graph import Graph
 from carracing_dqn.bringup.monitor import Monitor
 from carracing_dqn.bringup.processes import ProcessGroup
 from msgs_bridge.errors import BridgeError
+from msgs_bridge.private_folder import make_temporary
 
 LOOK_SECONDS = 0.1
 
@@ -23,8 +26,15 @@ FIRST_LOOK_SECONDS = 1.0
 UNHEARD_SECONDS = 20.0
 """How long nodes may run without one of them being heard: discovery takes 0.1 to 6 s."""
 
+RUNS_ALREADY = ('a simulator runs on this ROS domain already; stop it, or use --namespace or '
+                'another ROS_DOMAIN_ID')
+
 MIN_FILES = 64
 """File descriptors with which a graph was seen to drive; some of DDS' sockets need one each."""
+
+
+# places on the ROS domains of this host where this process has a graph
+_taken: dict[Path, int] = {}
 
 
 def check_machine() -> None:
@@ -53,15 +63,54 @@ def refuse_second_simulator(monitor: Monitor, spaces: Sequence[str] = ('',)) -> 
         spaces: the namespaces of the new ones below that of the graph; none: one in that itself.
 
     Raises:
-        BridgeError: there is one.
+        BridgeError: there is one, or another command is about to start one.
     """
+    for space in spaces or ('',):
+        _take_place(f'{monitor.state.namespace}/{space}')
     deadline = time.monotonic() + FIRST_LOOK_SECONDS
     while time.monotonic() < deadline:
         if any(map(monitor.simulators, spaces or ('',))):
-            raise BridgeError(
-                'a simulator runs on this ROS domain already; stop it, or use --namespace or '
-                'another ROS_DOMAIN_ID')
+            raise BridgeError(RUNS_ALREADY)
         time.sleep(LOOK_SECONDS)
+
+
+def _take_place(space: str) -> None:
+    """
+    Take a namespace of this ROS domain, until the graph ends, from other commands of this user.
+
+    Two that are started in the same second see no simulator of the other yet. Where there is no
+    room for a lock, looking has to do.
+
+    Raises:
+        BridgeError: another one has it.
+    """
+    try:
+        # hosts that share their temporary files have networks of their own
+        network = os.stat('/proc/self/ns/net').st_ino
+        domain = int(os.environ.get('ROS_DOMAIN_ID') or 0)
+        name = f'{network}-{domain}{space.rstrip("/").replace("/", "-")}.lock'
+        place = make_temporary('carracing_graphs') / name
+        if place in _taken:
+            return
+        handle = os.open(place, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    except OSError:
+        return
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(handle)
+        raise BridgeError(RUNS_ALREADY) from None
+    except OSError:
+        # a file system without locks
+        os.close(handle)
+        return
+    _taken[place] = handle
+
+
+def _leave_places() -> None:
+    """Let other commands have what this process has taken."""
+    while _taken:
+        os.close(_taken.popitem()[1])
 
 
 def look(group: ProcessGroup, monitor: Monitor) -> str | None:
@@ -118,6 +167,7 @@ def run_to_the_end(
             display.say('stopping')
         finally:
             group.stop()
+            _leave_places()
         group.check_ends()
     display.finish()
     return interrupted

@@ -7,7 +7,6 @@ import argparse
 import importlib.util
 import os
 from pathlib import Path
-import shlex
 import shutil
 import textwrap
 from typing import Any
@@ -20,7 +19,7 @@ from carracing_dqn.bringup.graph import (
 from carracing_dqn.bringup.monitor import absolute_namespace, Monitor
 from carracing_dqn.bringup.provenance import with_provenance
 from carracing_dqn.bringup.recipe import pairs_of_model, pairs_of_simulator
-from carracing_dqn.bringup.run_folders import default_folder, new_folder
+from carracing_dqn.bringup.run_folders import default_folder, new_folder, shell_word
 from carracing_dqn.bringup.supervise import check_machine, refuse_second_simulator, run_to_the_end
 from carracing_dqn.bringup.training_display import model_lines, training_line, training_table
 from carracing_dqn.simulation import find_simulator
@@ -28,6 +27,7 @@ from carracing_dqn.simulation.profiles import found_from, profile_of
 from carracing_dqn.studies.simulator_settings import choose_preset, PRESET, SIMULATOR_PRESET
 from msgs_bridge.errors import BridgeError, SettingsError
 from msgs_bridge.exit_codes import INTERRUPTED
+from msgs_bridge.plain_text import plain
 from msgs_bridge.seeds import MAX_CARS
 from msgs_bridge.settings import describe
 from msgs_bridge.terminal import say
@@ -173,6 +173,11 @@ def _check(arguments: argparse.Namespace) -> None:
 
 def _overrides(pairs: list[str]) -> dict[str, Any]:
     """Return the hyperparameters that were asked for by name; raises SettingsError."""
+    for pair in pairs:
+        # the trainer node takes them as one text
+        if ',' in pair:
+            raise SettingsError(f'{plain(pair)!r}: a comma stands between settings and in none; '
+                                'give the file or folder another name')
     try:
         return read_overrides(pairs)
     except SettingsError as error:
@@ -192,7 +197,7 @@ def _what_next(folder: Path, before: str = '') -> str:
     """Return how to go on with a run that has a checkpoint, after some text; else nothing."""
     if not RunFolder(folder).checkpoint.is_file():
         return ''
-    return f'{before}go on with: carracing train --resume {shlex.quote(str(folder))}'
+    return f'{before}go on with: carracing train --resume {shell_word(folder)}'
 
 
 def _graph(

@@ -15,6 +15,7 @@ from bags.topic_lookup import need_topic
 from bags.reader import BagReader
 from bags.transitions import bag_transitions
 from carracing_dqn.bringup.training_display import model_lines
+from carracing_dqn.evaluation.statistics import percent
 from carracing_dqn.evaluation.validator import validate_weights
 from carracing_dqn.simulation.profiles import found_from
 from msgs_bridge.errors import BridgeError, SettingsError
@@ -183,5 +184,5 @@ def status_line(training: Training) -> str:
     progress = training.progress
     left = (f', about {training.wall_seconds / 60 * (1 / progress - 1):.1f} min left'
             if SOON < progress < 1 else '')
-    return (f'{progress:.0%} done{left}, {status["decisions"]} transitions, '
+    return (f'{percent(progress)} done{left}, {status["decisions"]} transitions, '
             f'{status["updates"]} updates, {foreign} actions that are not in the set{hint}')

@@ -5,11 +5,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 import dataclasses
+import math
 
 from carracing_dqn.evaluation.records import Run
 from carracing_dqn.evaluation.results import Results
 from carracing_dqn.evaluation.seed_document import FIGURES, Figure, Objective, OBJECTIVES
 from carracing_dqn.evaluation.statistics import moving_average, Statistics
+from msgs_bridge.plain_text import plain
 import numpy as np
 
 LONGEST_WINDOW = 100
@@ -264,19 +266,21 @@ def _setting(name: str, run: Run) -> Measured:
         return Measured('– (no record of the settings)' if not config else '– (not in the record)')
     value = config[name]
     if name == 'epsilon_decay' and config.get('epsilon_schedule') == 'decisions':
-        return Measured(f'linear over {config.get("epsilon_decisions")} decisions')
+        return Measured(f'linear over {plain(config.get("epsilon_decisions"))} decisions')
     if name == 'patience_episodes' and config.get('learning_rate_schedule') != 'plateau':
-        return Measured(f'{config.get("learning_rate_schedule")} learning rate instead')
+        return Measured(f'{plain(config.get("learning_rate_schedule"))} learning rate instead')
     if name == 'validation_every_episodes' and value == 0:
-        for other, unit in (('minutes', 'minutes'), ('decisions', 'decisions')):
-            if config.get(f'validation_every_{other}'):
-                return Measured(f'{config[f"validation_every_{other}"]:g} {unit}')
+        for unit in ('minutes', 'decisions'):
+            if every := config.get(f'validation_every_{unit}'):
+                return Measured(f'{every:g} {unit}' if type(every) in (int, float)
+                                else plain(every))
         return Measured('only at the end')
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        return Measured(str(value))
+    # what is no number may be anything, and of any length
+    if type(value) not in (int, float) or not math.isfinite(value):
+        return Measured(plain(value))
     text = f'{value:g}' if isinstance(value, float) else str(value)
     if name == 'target_every':
-        text += f' {config.get("target_update", "")}'.rstrip()
+        text += f' {plain(config.get("target_update", ""))}'.rstrip()
     return Measured(text, float(value))
 
 

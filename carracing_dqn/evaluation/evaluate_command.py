@@ -5,25 +5,31 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
+import contextlib
 import dataclasses
 import functools
+import itertools
 import os
 from pathlib import Path
 import re
 import shlex
 import sys
 import time
+from typing import Any
 
-from carracing_dqn.evaluation.errors import EvaluationError
+from carracing_dqn.evaluation.errors import EvaluationError, ResultsError
 from carracing_dqn.evaluation.kept_laps import keep_laps
 from carracing_dqn.evaluation.lap_series import drive_laps
 from carracing_dqn.evaluation.laps import Lap
 from carracing_dqn.evaluation.policies import MODEL, parse_policy, PolicySource
 from carracing_dqn.evaluation.progress import summary_table
-from carracing_dqn.evaluation.results import Results, resume, RUNS, write_csv, write_json
+from carracing_dqn.evaluation.results import (
+    locked, Results, resume, RUNS, write_csv, write_json,
+)
 from carracing_dqn.evaluation.through_graph import drive_laps_through_graph, RunGraph
 from carracing_dqn.evaluation.workers import limit_torch_threads
 from carracing_dqn.simulation import find_simulator, simulator_names
+from carracing_dqn.simulation.registry import CARRACING
 from msgs_bridge.exit_codes import INTERRUPTED
 from msgs_bridge.machine import cores, describe_machine
 from msgs_bridge.terminal import say
@@ -36,7 +42,10 @@ DEFAULT_MODEL = 'racing'
 KEPT_IN = 'RUN/evaluation-<time>.json, without a run runs/evaluate-<policy>-<time>.json'
 
 LARGEST_SEED = 2**31 - 1
+# more do not fit into a file that is read again
+MOST_EPISODES = 100_000
 MOST_REPEATS = 50
+MOST_PROCESSES = 1024
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -94,12 +103,19 @@ def main(arguments: argparse.Namespace, *, run_graph: RunGraph | None = None) ->
     source = dataclasses.replace(
         parse_policy(arguments.policy, arguments.model or DEFAULT_MODEL, arguments.device),
         action_repeat=arguments.action_repeat)
+    identity = source.identity()
+    source = dataclasses.replace(source, weights_sha256=identity.get('weights_sha256', ''))
+    with _place(arguments.json, source) as arguments.json:
+        return _drive(arguments, source, identity, console, run_graph)
+
+
+def _drive(
+    arguments: argparse.Namespace, source: PolicySource, identity: dict[str, Any],
+    console: Console, run_graph: RunGraph | None,
+) -> int:
+    """Drive the laps that are still to be driven; return the exit code."""
     seeds = range(arguments.seed, arguments.seed + arguments.episodes)
     simulator = 'graph' if arguments.through_graph else arguments.simulator
-    identity = source.identity()
-    if arguments.json is None:
-        arguments.json = _new_file(source)
-    _check_place(arguments.json)
     results = resume(arguments.json, identity, simulator, seeds)
     results.wanted = len(seeds)
     results.machine = describe_machine()
@@ -125,13 +141,42 @@ def main(arguments: argparse.Namespace, *, run_graph: RunGraph | None = None) ->
     return 0
 
 
-def _new_file(source: PolicySource) -> Path:
-    """Return where laps are kept when nobody has said so: with the run, or below `runs`."""
+@contextlib.contextmanager
+def _place(named: Path | None, source: PolicySource) -> Iterator[Path]:
+    """Yield where laps are kept, which no other process writes to inside the block."""
+    with contextlib.ExitStack() as stack:
+        if named is not None:
+            _check_place(named)
+            stack.enter_context(locked(named))
+        for path in _new_files(source) if named is None else ():
+            _check_place(path)
+            if path.parent == RUNS and not RUNS.exists():
+                RUNS.mkdir(exist_ok=True)
+                stack.callback(_remove_empty, RUNS)
+            with contextlib.suppress(ResultsError):
+                stack.enter_context(locked(path))
+                # who had it may have ended in between
+                if not path.exists():
+                    named = path
+                    break
+        yield named
+
+
+def _remove_empty(folder: Path) -> None:
+    """Remove a folder in which nothing was kept."""
+    with contextlib.suppress(OSError):
+        folder.rmdir()
+
+
+def _new_files(source: PolicySource) -> Iterator[Path]:
+    """Yield where laps may be kept when nobody has said so: with the run, or below `runs`."""
     folder = source.run_folder
     kind = 'evaluation' if folder else 'evaluate-' + re.sub(r'[^\w.-]+', '-', source.name)
     stem = f'{kind}-{time.strftime("%Y%m%d-%H%M%S")}'
-    places = (Path(folder or RUNS) / f'{stem}{more}.json' for more in ('', *range(-1, -1000, -1)))
-    return next(path for path in places if not path.exists())
+    for more in itertools.chain([''], itertools.count(-1, -1)):
+        path = Path(folder or RUNS) / f'{stem}{more}.json'
+        if not path.exists():
+            yield path
 
 
 def _laps(
@@ -156,8 +201,6 @@ def _write(arguments: argparse.Namespace, results: Results) -> None:
         if path is None or not results.laps:
             continue
         try:
-            if path.parent == RUNS:
-                path.parent.mkdir(exist_ok=True)
             write(path, results)
         except OSError as error:
             raise EvaluationError(f'{path} cannot be written: {error.strerror}') from None
@@ -168,10 +211,10 @@ def _check(arguments: argparse.Namespace) -> None:
     if arguments.model is not None and arguments.policy != MODEL:
         raise EvaluationError(f'--model {arguments.model} and --policy {arguments.policy}: only '
                               'one can drive; leave one of them out')
-    if arguments.episodes < 1:
-        raise EvaluationError(f'--episodes is {arguments.episodes}; accepted: 1 or more')
-    if arguments.processes < 1:
-        raise EvaluationError(f'--processes is {arguments.processes}; accepted: 1 or more')
+    for name, most in (('episodes', MOST_EPISODES), ('processes', MOST_PROCESSES)):
+        value = getattr(arguments, name)
+        if not 1 <= value <= most:
+            raise EvaluationError(f'--{name} is {value}; accepted: 1 to {most}')
     if not 0 <= arguments.seed <= LARGEST_SEED - arguments.episodes:
         raise EvaluationError(
             f'--seed is {arguments.seed}; accepted: 0 to {LARGEST_SEED - arguments.episodes}')
@@ -180,13 +223,22 @@ def _check(arguments: argparse.Namespace) -> None:
             f'--action-repeat is {arguments.action_repeat}; accepted: 0 to {MOST_REPEATS}')
     if arguments.action_repeat and (arguments.through_graph or arguments.policy != MODEL):
         raise EvaluationError('--action-repeat is for models that are driven in process')
+    if arguments.through_graph and arguments.simulator not in CARRACING:
+        raise EvaluationError(f'--through-graph drives in CarRacing, and not in '
+                              f'{arguments.simulator}')
     if arguments.bag is not None and not arguments.through_graph:
         raise EvaluationError('--bag records topics, which only --through-graph has')
     if arguments.pictures is not None and arguments.through_graph:
         raise EvaluationError('--pictures looks into the simulator, which --through-graph hides')
-    for path in (arguments.json, arguments.csv):
-        if path is not None and not path.resolve().parent.is_dir():
-            raise EvaluationError(f'{path}: there is no folder {path.resolve().parent}')
+    for path in filter(None, (arguments.json, arguments.csv)):
+        folder = Path(os.path.realpath(path)).parent
+        if not folder.is_dir():
+            raise EvaluationError(f'{path}: there is no folder {folder}')
+        if path.exists() and not path.is_file():
+            raise EvaluationError(f'{path} cannot be written: it is no file')
+    if arguments.json is not None and arguments.csv is not None and (
+            os.path.realpath(arguments.json) == os.path.realpath(arguments.csv)):
+        raise EvaluationError(f'--json and --csv are both {arguments.csv}; name two files')
 
 
 def _check_place(path: Path) -> None:

@@ -7,11 +7,13 @@ from collections.abc import Iterator
 import contextlib
 import io
 from pathlib import Path
+import warnings
 
 import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from msgs_bridge.atomic_write import write_bytes
+from msgs_bridge.plain_text import plain
 
 # M. Okabe and K. Ito, Color Universal Design, 2008
 BLUE = '#0072b2'
@@ -79,10 +81,19 @@ def new_figure(size: tuple[float, float] = WIDE) -> Figure:
     return Figure(figsize=size, layout='constrained')
 
 
+def label(name: str) -> str:
+    """Return the name of a run as figures take it: no formula, and never left out of a legend."""
+    text = plain(name).replace('$', r'\$')
+    # matplotlib keeps names that begin with an underscore to itself
+    return f' {text}' if text.startswith('_') else text
+
+
 def image_bytes(figure: Figure, kind: str) -> bytes:
     """Return a figure as 'png' or 'svg'."""
     data = io.BytesIO()
-    with styled():
+    with styled(), warnings.catch_warnings():
+        # names of runs may be of any script; what the font lacks is drawn as a box
+        warnings.filterwarnings('ignore', r'Glyph \d+ .* missing from font')
         figure.savefig(
             data, format=kind, dpi=RESOLUTION,
             metadata={'Date': None} if kind == 'svg' else {'Software': None})

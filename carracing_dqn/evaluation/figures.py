@@ -16,7 +16,9 @@ from carracing_dqn.evaluation.comparison import smoothing_window
 from carracing_dqn.evaluation.records import Run
 from carracing_dqn.evaluation.results import Results
 from carracing_dqn.evaluation.seed_document import SHORT_NAME, STATED
-from carracing_dqn.evaluation.statistics import moving_average, share_interval, THRESHOLDS
+from carracing_dqn.evaluation.statistics import (
+    moving_average, percent, share_interval, THRESHOLDS,
+)
 from carracing_dqn.evaluation.tables import Table
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -27,7 +29,8 @@ Size = tuple[float, float]
 BIN = 25.0
 """Points in a bar of the distribution, in CarRacing."""
 BINS = 40
-"""Bars of it elsewhere."""
+"""Bars of it elsewhere, and where returns are none of CarRacing."""
+MOST_WIDTH = 10 * BIN
 STATED_MEANS = (('test_mean', 'trained'), ('dummy_mean', 'dummy'))
 
 LAP_WINDOW = 10
@@ -77,7 +80,7 @@ def _training_rewards(runs: Sequence[Run], size: Size) -> Figure:
         window = smoothing_window(len(rewards))
         axes.plot(numbers, rewards, '.', markersize=3, color=colour, alpha=0.3, rasterized=True)
         axes.plot(numbers, moving_average(rewards, window), color=colour, linestyle=dash,
-                  label=f'{run.name}, mean of {window}')
+                  label=f'{style.label(run.name)}, mean of {window}')
     if runs[0].in_carracing:
         axes.plot(
             [0, STATED['train_average_zero'], STATED['train_average_800'], STATED['episodes']],
@@ -104,7 +107,7 @@ def _validation_rewards(runs: Sequence[Run], size: Size) -> Figure:
             axes.fill_between(episodes, means - spread, means + spread, color=colour, alpha=0.15,
                               linewidth=0)
         axes.plot(episodes, means, 'o', markersize=4, linestyle=dash, color=colour,
-                  label=run.name)
+                  label=style.label(run.name))
     if runs[0].in_carracing:
         axes.plot(
             [0, 700, STATED['validation_maximum_episode'], STATED['episodes']],
@@ -125,7 +128,7 @@ def _schedules(runs: Sequence[Run], size: Size) -> Figure:
         for axes, column in ((upper, 'epsilon'), (lower, 'learning_rate')):
             if run.episodes.has(column):
                 axes.plot(*_against(run.episodes, 'episode', column), color=colour,
-                          linestyle=dash, label=run.name)
+                          linestyle=dash, label=style.label(run.name))
     upper.set_ylim(bottom=0)
     lower.set_yscale('log')
     _legend_below(figure, upper)
@@ -142,7 +145,7 @@ def _losses(runs: Sequence[Run], size: Size) -> Figure:
             table = run.updates if run.updates.has(column) else run.episodes
             if table.has(column):
                 axes.plot(*_against(table, 'updates', column), color=colour, linestyle=dash,
-                          linewidth=1.2, label=run.name)
+                          linewidth=1.2, label=style.label(run.name))
     if all((line.get_ydata() > 0).all() for line in upper.lines) and upper.lines:
         upper.set_yscale('log')
     _legend_below(figure, upper if upper.lines else lower)
@@ -159,11 +162,12 @@ def _wall_time(runs: Sequence[Run], size: Size) -> Figure:
             seconds, rewards = run.episodes.known('wall_seconds', 'train_reward')
             axes.plot(seconds / 60, moving_average(rewards, smoothing_window(len(rewards))),
                       color=colour, alpha=0.55, linestyle=dash, linewidth=1.3,
-                      label=f'{run.name}, training (mean of {smoothing_window(len(rewards))})')
+                      label=f'{style.label(run.name)}, training '
+                            f'(mean of {smoothing_window(len(rewards))})')
         if run.validation.has('wall_seconds', 'mean'):
             seconds, means = run.validation.known('wall_seconds', 'mean')
             axes.plot(seconds / 60, means, 'o', markersize=4.5, linestyle='-', color=colour,
-                      label=f'{run.name}, validation')
+                      label=f'{style.label(run.name)}, validation')
     if runs[0].in_carracing:
         axes.axhline(
             STATED['test_mean'], color=style.SEED_COLOUR, linewidth=1, linestyle=(0, (4, 3)),
@@ -194,8 +198,10 @@ def _distribution(runs: Sequence[Run], size: Size) -> Figure:
     figure, axes = _one(size, 'return, points', 'share of the laps')
     agents = _agents(runs)
     everything = [lap.episode_return for _, results, _, _ in agents for lap in results.ordered]
-    # as wide as suits CarRacing's thousand points
-    width = BIN if runs[0].in_carracing else max(np.ptp(everything) / BINS, 1e-6)
+    width = max(np.ptp(everything) / BINS, 1e-6 * max(1.0, *map(abs, everything)))
+    if runs[0].in_carracing and width < MOST_WIDTH:
+        # as suits its thousand points
+        width = BIN
     low = np.floor(min(everything) / width) * width
     high = np.ceil(max(everything) / width) * width + width
     bins = np.arange(low, high + width / 2, width)
@@ -243,7 +249,7 @@ def _completion(runs: Sequence[Run], size: Size) -> Figure:
     axes.errorbar(shares, places, xerr=np.array(errors).T, fmt='none', ecolor=style.INK,
                   elinewidth=1.2, capsize=3)
     for place, share, (_, above) in zip(places, shares, errors):
-        axes.annotate(f'{share:.0%}', (share + above, place), xytext=(6, 0),
+        axes.annotate(percent(share), (share + above, place), xytext=(6, 0),
                       textcoords='offset points', va='center', fontweight='bold')
     axes.set_yticks(places, names)
     axes.set_xlim(0, 1.12)
@@ -268,7 +274,7 @@ def _success(runs: Sequence[Run], size: Size) -> Figure:
             axes.bar(x, share, 0.9 * width, color=colour, label=name if number == 0 else None)
             axes.errorbar(x, share, yerr=[[max(0, share - low)], [max(0, high - share)]],
                           ecolor=style.INK, elinewidth=1.2, capsize=3)
-            axes.annotate(f'{share:.0%}', (x, high), xytext=(0, 3), textcoords='offset points',
+            axes.annotate(percent(share), (x, high), xytext=(0, 3), textcoords='offset points',
                           ha='center', fontsize=9)
     axes.set_xticks(range(len(THRESHOLDS)), [f'{threshold} points' for threshold in THRESHOLDS])
     axes.set_ylim(0, 1.15)
@@ -286,7 +292,7 @@ def _agents(runs: Sequence[Run]) -> list[tuple[str, Results, str, object]]:
     if dummy is not None:
         agents.append(('dummy agent', dummy, style.DUMMY_COLOUR, ':'))
     drawn = [run for run in runs if run.evaluation is not None]
-    agents += [(run.name, run.evaluation, colour, dash)
+    agents += [(style.label(run.name), run.evaluation, colour, dash)
                for run, colour, dash in _styled_runs(runs, drawn)]
     _need(agents, 'no run has test laps (evaluation.json of carracing evaluate)')
     return agents

@@ -35,6 +35,8 @@ def keep_laps(
         # when nothing was left to drive, a file may still have been asked for
         write()
     except KeyboardInterrupt:
+        # it may have come in the middle of a writing
+        write()
         return True
     finally:
         laps.close()

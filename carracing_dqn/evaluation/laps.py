@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 import dataclasses
+import math
 import time
 from typing import Any, Protocol
 
@@ -66,11 +67,15 @@ class Lap:
 def lap_of(
     seed: int, episode_return: float, frames: int, info: Mapping[str, float], seconds: float,
 ) -> Lap:
-    """Return a lap with those of its values that the info of its last frame has."""
+    """Return a lap with what the info of its last frame says, as far as that can be."""
     kinds = {'tiles_visited': int, 'tiles_total': int, 'lap_finished': bool, 'left_field': bool,
              'standing_still': int}
-    return Lap(seed, round(episode_return, RETURN_DIGITS), frames, seconds=seconds, **{
-        name: kind(info[name]) for name, kind in kinds.items() if name in info})
+    values = {name: kind(info[name]) for name, kind in kinds.items()
+              if name in info and math.isfinite(info[name])}
+    # a simulator that says nonsense of its tiles says nothing of them
+    if not 0 <= values.get('tiles_visited', -1) <= values.get('tiles_total', 0) != 0:
+        values = {name: value for name, value in values.items() if 'tiles' not in name}
+    return Lap(seed, round(episode_return, RETURN_DIGITS), frames, seconds=seconds, **values)
 
 
 def drive_lap(

@@ -12,15 +12,22 @@ from collections.abc import Iterator
 from pathlib import Path
 import sys
 
+from carracing_dqn.evaluation.errors import RecordsError
 from carracing_dqn.evaluation.records import load_run, Run
 from carracing_dqn.evaluation.results import Results
 from carracing_dqn.simulation.profiles import profile_of
 from dqn_policy_node.model_folder import load_model, Model
 from msgs_bridge.atomic_write import write_text
+from msgs_bridge.errors import BridgeError
+from msgs_bridge.exit_codes import ERROR
+from msgs_bridge.last_line import say
+from msgs_bridge.plain_text import plain
 from msgs_bridge.seeds import is_validation
 
 CARD = 'README.md'
 LICENSE = 'Apache-2.0'
+# characters of a cell of a table
+CELL = 1000
 
 
 def model_card(folder: Path | str) -> str:
@@ -37,9 +44,14 @@ def model_card(folder: Path | str) -> str:
     folder = Path(folder)
     model, run = load_model(folder), load_run(folder)
     others = [load_run(path) for path in sorted(run.path.glob('seed_*'))]
-    return '\n'.join([
-        *_head(folder.name, run), *_what(model), *_training(model, run),
-        *_test(run, others), *_limits(run, others), *_use(folder.name, run)])
+    try:
+        return '\n'.join([
+            *_head(folder.name, run), *_what(model), *_training(model, run),
+            *_test(run, others), *_limits(run, others), *_use(folder.name, run)])
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
+        # a record is anybody's JSON
+        raise RecordsError(f'{folder}: the record of its training is not whole: '
+                           f'{type(error).__name__}: {plain(error)}') from None
 
 
 def _head(name: str, run: Run) -> Iterator[str]:
@@ -106,7 +118,7 @@ def _training(model: Model, run: Run) -> Iterator[str]:
         f'{_spread(best["mean"], best["std"])} |')
     for key, name in (('choice', 'choice'), ('what_else_ran', 'what else ran')):
         if run.record.get(key):
-            yield f'| {name} | {run.record[key]} |'
+            yield f'| {name} | {plain(run.record[key], CELL)} |'
     yield from ('', 'Every hyperparameter is in `record/config.yaml`, every episode in '
                 '`record/episodes.csv`.', '')
 
@@ -190,6 +202,16 @@ def _use(name: str, run: Run) -> Iterator[str]:
         f'Licence: {LICENSE}.', '')
 
 
+def main(folders: list[str]) -> int:
+    """Write the cards of model folders; return the exit code."""
+    try:
+        for path in map(Path, folders):
+            write_text(path / CARD, model_card(path))
+    except (BridgeError, OSError) as error:
+        say(f'error: {plain(error, CELL)}')
+        return ERROR
+    return 0
+
+
 if __name__ == '__main__':
-    for path in map(Path, sys.argv[1:]):
-        write_text(path / CARD, model_card(path))
+    sys.exit(main(sys.argv[1:]))

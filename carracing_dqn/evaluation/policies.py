@@ -3,30 +3,49 @@
 """Where policies come from: a model folder, the dummy agent, or anybody's own code."""
 from __future__ import annotations
 
+from collections.abc import Iterator
+import contextlib
 import dataclasses
-import hashlib
 import importlib
 import inspect
 import os
 from pathlib import Path
 import sys
+import traceback
 from typing import Any
 
 from carracing_dqn.evaluation.errors import PolicyError
-from msgs_bridge.simulator import FRAME_SECONDS
 from dqn_policy_node.shipped_models import RANDOM
+from msgs_bridge.errors import BridgeError
+from msgs_bridge.plain_text import plain
+from msgs_bridge.simulator import FRAME_SECONDS
 
 MODEL = 'model'
 # the folders of a run folder that hold a model, the one to evaluate first
 RUN_MODELS = ('best', 'final')
 
 
+@contextlib.contextmanager
+def _blamed(name: str, what: str) -> Iterator[None]:
+    """Let somebody's policy do something; raises PolicyError with the place where it fails."""
+    try:
+        yield
+    except BridgeError:
+        raise
+    except (Exception, SystemExit) as error:
+        # an exit would end the command with any code, 0 for one
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        raise PolicyError(
+            f'policy {plain(name)!r} failed in {what}: {type(error).__name__}: {plain(error)} '
+            f'({Path(place.filename).name}, line {place.lineno})') from None
+
+
 class Custom:
     """A policy of somebody else's: `act` is all it needs."""
 
-    def __init__(self, made: Any) -> None:
-        """Take an object with `act(frame)`, or a function of the frame."""
-        self._made = made
+    def __init__(self, made: Any, name: str) -> None:
+        """Take an object with `act(frame)`, or a function of the frame, and its name."""
+        self._made, self._name = made, name
         self._act = made.act if hasattr(made, 'act') else made
         self.action_repeat = getattr(made, 'action_repeat', 1)
 
@@ -35,14 +54,16 @@ class Custom:
         reset = getattr(self._made, 'reset', None)
         if reset is None:
             return
-        if inspect.signature(reset).parameters:
-            reset(seed)
-        else:
-            reset()
+        with _blamed(self._name, 'reset'):
+            if inspect.signature(reset).parameters:
+                reset(seed)
+            else:
+                reset()
 
     def act(self, frame: Any) -> Any:
         """Return what the policy answers to a frame."""
-        return self._act(frame)
+        with _blamed(self._name, 'act'):
+            return self._act(frame)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,12 +76,14 @@ class PolicySource:
         model: model folder, when the kind is 'model'.
         device: where a model computes, as PyTorch names it.
         action_repeat: simulator frames a model's action is held; 0 = as the model says.
+        weights_sha256: of the weights that a model must have; '' for whatever lies there.
     """
 
     kind: str
     model: str = ''
     device: str = 'cpu'
     action_repeat: int = 0
+    weights_sha256: str = ''
 
     @property
     def name(self) -> str:
@@ -88,17 +111,33 @@ class PolicySource:
 
         Raises:
             ModelError: the model folder cannot be used.
-            PolicyError: there is no such callable, or what it makes cannot `act`.
+            PolicyError: there is no such callable, or what it makes cannot `act`; or the model
+                was replaced by another one.
         """
         if self.kind == MODEL:
             from dqn_policy_node import load_policy
             policy = load_policy(self.model, self.device, frame_seconds=frame_seconds)
+            self.check()
             if self.action_repeat:
                 policy.action_repeat = self.action_repeat
             return policy
         if self.kind == RANDOM:
             return _random_policy()
-        return Custom(_made_by(self.kind))
+        return Custom(_made_by(self.kind), self.kind)
+
+    def check(self) -> None:
+        """
+        See that the model is still the one that was asked for: a run writes its best anew.
+
+        Raises:
+            ModelError: the model folder cannot be used.
+            PolicyError: it is another one by now.
+        """
+        if self.weights_sha256:
+            from dqn_policy_node.model_record import read_model_record
+            if read_model_record(self.model).weights_sha256 != self.weights_sha256:
+                raise PolicyError(f'{self.model} was replaced by another version meanwhile; begin '
+                                  'again, or copy the folder and evaluate that')
 
     def identity(self) -> dict[str, Any]:
         """
@@ -108,14 +147,16 @@ class PolicySource:
             ModelError, PolicyError: as `open`.
         """
         if self.kind == MODEL:
-            from dqn_policy_node.model_folder import load_model, WEIGHTS_FILE
-            model = load_model(self.model)
+            from dqn_policy_node.model_folder import load_model
+            from dqn_policy_node.model_record import read_model_record
+            load_model(self.model)
+            # all of one reading: the folder may be replaced at any time
+            model = read_model_record(self.model)
             description = model.description
             return {
                 'kind': MODEL,
                 'name': self.name,
-                'weights_sha256': hashlib.sha256(
-                    (Path(self.model) / WEIGHTS_FILE).read_bytes()).hexdigest(),
+                'weights_sha256': model.weights_sha256,
                 'description_sha256': description.sha256(),
                 'action_set': description.action_space.name,
                 'action_repeat': self.action_repeat or round(
@@ -145,7 +186,9 @@ def model_source(model: str, device: str = 'cpu') -> PolicySource:
                 return PolicySource(MODEL, str(folder / name), device)
         raise PolicyError(
             f'{folder} is a run without a model yet: neither {" nor ".join(RUN_MODELS)} is there')
-    return PolicySource(MODEL, str(find_model(model)), device)
+    path = str(find_model(model))
+    # a folder that is called random is no dummy agent
+    return PolicySource(MODEL, os.path.join('.', path) if path == RANDOM else path, device)
 
 
 def parse_policy(text: str, model: str, device: str = 'cpu') -> PolicySource:
@@ -180,9 +223,10 @@ def _made_by(text: str) -> Any:
     if os.getcwd() not in sys.path:
         sys.path.insert(0, os.getcwd())
     try:
-        value: Any = importlib.import_module(module_name)
-    except ImportError as error:
-        raise PolicyError(f'policy {text!r}: cannot import {module_name!r}: {error}') from None
+        with _blamed(text, 'its import'):
+            value: Any = importlib.import_module(module_name)
+    except PolicyError as error:
+        raise PolicyError(f'cannot import {module_name!r}: {error}') from None
     for part in name.split('.'):
         if not hasattr(value, part):
             raise PolicyError(f'policy {text!r}: {module_name} has no {name!r}')
@@ -196,7 +240,8 @@ def _made_by(text: str) -> Any:
     except (TypeError, ValueError):
         # takes an argument: a function of the frame
         return value
-    made = value()
+    with _blamed(text, 'its making'):
+        made = value()
     if not callable(getattr(made, 'act', made)):
         raise PolicyError(
             f'policy {text!r} made a {type(made).__name__}; expected an object with act(frame)')

@@ -30,7 +30,8 @@ class LapProgress:
         self._console = console
         self._next_line = 0.0
         self._bar = None
-        if console.is_terminal:
+        # one that cannot move its cursor shows no bar before the end
+        if console.is_terminal and not console.is_dumb_terminal:
             self._bar = Progress(
                 TextColumn('{task.description}'), BarColumn(), MofNCompleteColumn(),
                 TimeElapsedColumn(), TimeRemainingColumn(), console=console)

@@ -3,8 +3,10 @@
 """What a run wrote down, read so that whatever is there can be shown."""
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
+import math
 import os
 from pathlib import Path
 from typing import Any
@@ -14,8 +16,12 @@ from carracing_dqn.evaluation.results import read_json, Results
 from carracing_dqn.evaluation.tables import read_table, Table
 from carracing_dqn.simulation.profiles import found_from
 from carracing_dqn.simulation.registry import CARRACING, DEFAULT
+from dqn_policy_node.model_record import read_model_record
 from dqn_policy_node.shipped_models import RANDOM
-import yaml
+from msgs_bridge.errors import BridgeError
+from msgs_bridge.plain_text import plain
+from msgs_bridge.regular_file import read_regular
+from msgs_bridge.yaml_text import load_yaml
 
 EPISODE_COLUMNS = (
     'episode', 'train_reward', 'validation_reward', 'epsilon', 'learning_rate', 'frames',
@@ -27,6 +33,10 @@ UPDATE_COLUMNS = (
 RECORD_FOLDERS = ('', 'training', 'record')
 MODEL_FOLDERS = ('best', 'final', '')
 MAX_TEXT_BYTES = 4 * 2**20
+# of a run: as many digits as a file may hold fit no float
+MOST_SECONDS = 1e12
+# of a sentence about what is wrong; paths may be long
+MAX_PROBLEM = 1000
 
 
 @dataclasses.dataclass
@@ -75,9 +85,9 @@ class Run:
         known = [float(table.known('wall_seconds')[0].max())
                  for table in (self.episodes, self.updates) if table.has('wall_seconds')]
         value = self.record.get('wall_seconds')
-        if isinstance(value, (int, float)) and not isinstance(value, bool):
+        if type(value) in (int, float) and 0 <= value < math.inf:
             # the record of a run that goes on is as old as its last checkpoint
-            known.append(float(value))
+            known.append(float(min(value, MOST_SECONDS)))
         return max(known, default=None)
 
 
@@ -93,7 +103,7 @@ def load_run(folder: Path | str) -> Run:
         raise RecordsError(f'{folder}: there is no such run folder')
     path = next((folder / name for name in RECORD_FOLDERS
                  if (folder / name / 'episodes.csv').is_file()), folder)
-    run = Run(folder.resolve().name, path)
+    run = Run(plain(folder.resolve().name), path)
     for kind, columns in (
         ('episodes', EPISODE_COLUMNS), ('validation', VALIDATION_COLUMNS),
         ('updates', UPDATE_COLUMNS),
@@ -105,9 +115,9 @@ def load_run(folder: Path | str) -> Run:
     run.record = _mapping(path / 'run.json', run.problems)
     if run.record.get('complete') is False:
         run.problems.append('The run is not complete: it is still going on, or was stopped.')
-    _read_evaluations(run, {folder, path})
     run.model = next((folder / name for name in MODEL_FOLDERS
                       if (folder / name / 'model.json').is_file()), None)
+    _read_evaluations(run, {folder, path})
     if not (run.episodes.rows or run.validation.rows or run.updates.rows or run.evaluation):
         raise RecordsError(
             f'{folder} holds nothing to report: '
@@ -115,48 +125,88 @@ def load_run(folder: Path | str) -> Run:
     return run
 
 
-def add_results(run: Run, path: Path | str) -> None:
+def add_results(run: Run, path: Path | str, *, dummy: bool | None = None) -> None:
     """
     Add laps of `carracing evaluate` to a run, as its evaluation or as the dummy agent's.
 
+    Args:
+        run: takes them, in place of those that it has.
+        path: the file.
+        dummy: whether they must be the dummy agent's, or must not; None takes either.
+
     Raises:
-        ResultsError: the file is not there, is damaged, or is something else.
+        ResultsError: the file is not there, is damaged, is something else, or its laps were
+            driven elsewhere than the run.
     """
     results = read_json(path)
+    is_dummy = results.policy.get('kind') == RANDOM
+    if dummy is not None and is_dummy != dummy:
+        raise ResultsError(f'{path} holds laps of {plain(results.policy.get("name"))}; laps of '
+                           f'{RANDOM if dummy else "a model"} are wanted')
+    if not _same_simulator(run, results):
+        raise ResultsError(f'{path} holds laps in {plain(results.simulator)}, and {run.name} '
+                           f'learned in {plain(run.simulator)}')
     if not results.laps:
         run.problems.append(f'{Path(path).name} holds no laps yet.')
         return
     if len(results.laps) < results.wanted:
         run.problems.append(
             f'{Path(path).name} holds {len(results.laps)} of {results.wanted} laps.')
-    if results.policy.get('kind') == RANDOM:
+    if is_dummy:
         run.dummy = results
     else:
         run.evaluation = results
+        if _other_weights(run, results):
+            run.problems.append(f'{Path(path).name} holds laps of other weights than those in '
+                                f'{run.model.name}.')
+
+
+def _same_simulator(run: Run, results: Results) -> bool:
+    """Return whether laps were driven in what a run learned in."""
+    # over topics in CarRacing alone
+    in_carracing = results.simulator in (*CARRACING, 'graph')
+    if run.in_carracing or in_carracing:
+        return run.in_carracing and in_carracing
+    # a profile has another path from elsewhere
+    return Path(results.simulator).stem == Path(run.simulator).stem
+
+
+def _other_weights(run: Run, results: Results) -> bool:
+    """Return whether laps are known to be of others than the weights of the run's model."""
+    own = results.policy.get('weights_sha256')
+    with contextlib.suppress(BridgeError):
+        return run.model is not None and own is not None and (
+            read_model_record(run.model).weights_sha256 != own)
+    return False
 
 
 def _read_evaluations(run: Run, folders: set[Path]) -> None:
     for folder in sorted(folders):
         for path in sorted([*folder.glob('evaluation*.json'), *folder.glob('dummy*.json')]):
+            before = run.evaluation, run.dummy
             try:
                 add_results(run, path)
             except ResultsError as error:
-                run.problems.append(f'{error}.')
+                run.problems.append(f'{plain(error, MAX_PROBLEM)}.')
+                continue
+            if (before[0] is not None and before[0] is not run.evaluation
+                    or before[1] is not None and before[1] is not run.dummy):
+                run.problems.append(f'There are several files of laps; {path.name} is shown.')
 
 
 def _mapping(path: Path, problems: list[str]) -> dict[str, Any]:
     """Return the mapping of a YAML or JSON file, empty when there is none."""
+    if not path.exists():
+        problems.append(f'{path.name} is not there.')
+        return {}
     try:
-        if path.stat().st_size > MAX_TEXT_BYTES:
-            raise ValueError(f'longer than {MAX_TEXT_BYTES} bytes')
-        text = path.read_text(encoding='utf-8')
-        values = json.loads(text) if path.suffix == '.json' else yaml.safe_load(text)
+        text = read_regular(path, MAX_TEXT_BYTES, RecordsError).decode('utf-8')
+        values = json.loads(text) if path.suffix == '.json' else load_yaml(
+            text, path.name, RecordsError)
         if not isinstance(values, dict):
             raise ValueError('not a mapping')
-    except FileNotFoundError:
-        problems.append(f'{path.name} is not there.')
-    except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
-        problems.append(f'{path.name} cannot be used: {str(error).splitlines()[0]}.')
+    except (ValueError, RecursionError) as error:  # a RecordsError among them
+        problems.append(f'{path.name} cannot be used: {plain(error)}.')
     else:
         return values
     return {}

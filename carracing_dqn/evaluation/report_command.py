@@ -20,13 +20,13 @@ from carracing_dqn.evaluation.laps import Lap
 from carracing_dqn.evaluation.policies import MODEL, PolicySource
 from carracing_dqn.evaluation.records import add_results, load_run, Run
 from carracing_dqn.evaluation.report_page import lap_pictures, make_pictures, markdown, render
-from carracing_dqn.evaluation.results import Results, resume, RUNS, write_json
+from carracing_dqn.evaluation.results import locked, Results, resume, RUNS, write_json
 from carracing_dqn.evaluation.trajectory import drive_trajectory, Trajectory
 from carracing_dqn.evaluation.workers import limit_torch_threads
 from carracing_dqn.simulation import make_simulator
 from dqn_policy_node.model_record import MODEL_FILE
 from dqn_policy_node.shipped_models import RANDOM
-from msgs_bridge.atomic_write import write_text
+from msgs_bridge.atomic_write import write_bytes, write_text
 from msgs_bridge.errors import BridgeError
 from msgs_bridge.machine import cores, describe_machine
 from msgs_bridge.terminal import say
@@ -38,6 +38,8 @@ DUMMY_LAPS = 100
 # in simulators that may be slow
 FEWER_LAPS = 20
 DUMMY_SEED = 100_000
+# each is driven again, and its picture stands in the page
+MOST_LAPS = 1000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -72,14 +74,14 @@ def main(arguments: argparse.Namespace) -> int:
     Raises:
         BridgeError: a run or file that cannot be used; what is only incomplete is shown.
     """
-    if arguments.laps < 0:
-        raise EvaluationError(f'--laps is {arguments.laps}; accepted: 0 or more')
+    if not 0 <= arguments.laps <= MOST_LAPS:
+        raise EvaluationError(f'--laps is {arguments.laps}; accepted: 0 to {MOST_LAPS}')
     console = Console()
     runs = [load_run(_find(arguments.run))]
     runs += [load_run(_find(other)) for other in arguments.against if other != SEED]
-    for path in (arguments.evaluation, arguments.dummy):
+    for path, dummy in ((arguments.evaluation, False), (arguments.dummy, True)):
         if path is not None:
-            add_results(runs[0], path)
+            add_results(runs[0], path, dummy=dummy)
     for run in runs:
         if run.evaluation is None:
             run.problems.append(
@@ -100,9 +102,9 @@ def main(arguments: argparse.Namespace) -> int:
             if picture.figure is not None:
                 save_figure(picture.figure, output / 'figures', picture.name)
         verdicts = [judge(run) for run in runs]
-        write_text(output / 'tables.md', markdown(runs, verdicts))
+        _write(output / 'tables.md', markdown(runs, verdicts))
         write_text(output / 'tables.json', json.dumps(_as_json(runs), indent=1) + '\n')
-        write_text(output / 'report.html', render(runs, pictures, laps))
+        _write(output / 'report.html', render(runs, pictures, laps))
     except OSError as error:
         raise EvaluationError(f'{output} cannot be written: {error.strerror}') from None
     for run, judged in zip(runs, verdicts):
@@ -113,6 +115,11 @@ def main(arguments: argparse.Namespace) -> int:
                 f'{run.name}: {verdict.word}: {verdict.objective.text} ({verdict.text})')
     say(console, f'wrote {output / "report.html"}')
     return 0
+
+
+def _write(path: Path, text: str) -> None:
+    """Write a page; records may hold halves of signs, which no file can."""
+    write_bytes(path, text.encode('utf-8', 'replace'))
 
 
 def _find(text: str) -> Path:
@@ -143,6 +150,12 @@ def _drive_dummy(run: Run, path: Path, console: Console) -> Results:
     """Return laps of the dummy agent in a run's simulator, out of a file as far as it has them."""
     simulator = 'fast' if run.in_carracing else run.simulator
     seeds = range(DUMMY_SEED, DUMMY_SEED + (DUMMY_LAPS if run.in_carracing else FEWER_LAPS))
+    with locked(path):
+        return _dummy_laps(path, simulator, seeds, console)
+
+
+def _dummy_laps(path: Path, simulator: str, seeds: range, console: Console) -> Results:
+    """Return laps of the dummy agent; those that the file lacks are driven."""
     source = PolicySource(RANDOM)
     dummy = resume(path, source.identity(), simulator, seeds)
     todo = [seed for seed in seeds if seed not in dummy.laps]

@@ -20,6 +20,7 @@ from carracing_dqn.evaluation.records import Run
 from carracing_dqn.evaluation.trajectory import Trajectory
 import jinja2
 from matplotlib.figure import Figure
+from msgs_bridge.plain_text import plain
 
 TEMPLATE = 'report.html.j2'
 # what the first card of the page says: the first of these that was measured
@@ -27,6 +28,8 @@ HOW_GOOD = (('test_mean', 'mean return'), ('validation_maximum', 'best validatio
             ('train_average_last', 'training, moving average at the end'))
 # what so many rows of a table would say is said once below it
 SAID_ONCE = 3
+# characters of a cell of Markdown, which is one line
+CELL = 1000
 
 
 @dataclasses.dataclass(frozen=True)
@@ -174,7 +177,7 @@ def markdown(runs: Sequence[Run], verdicts: Sequence[Sequence[Verdict]]) -> str:
 
 
 def _cell(text: str) -> str:
-    return text.replace('|', '\\|')
+    return plain(text, CELL).replace('|', '\\|')
 
 
 def _picture(kind: FigureKind, runs: Sequence[Run]) -> Picture:

@@ -3,23 +3,33 @@
 """Files of laps: written whole after every lap, so that an evaluation can be gone on with."""
 from __future__ import annotations
 
+from collections.abc import Iterator
+import contextlib
 import csv
 import dataclasses
+import fcntl
 import io
 import json
+import os
 from pathlib import Path
 from typing import Any
 
 from carracing_dqn.evaluation.errors import ResultsError
 from carracing_dqn.evaluation.laps import Lap
+from carracing_dqn.evaluation.policies import MODEL
 from carracing_dqn.evaluation.statistics import Statistics, statistics_of
 from msgs_bridge.atomic_write import write_text
+from msgs_bridge.regular_file import read_regular
 
 FORMAT = 'carracing_dqn evaluation 1'
 MAX_BYTES = 64 * 2**20
 # where commands write what belongs to no run
 RUNS = Path('runs')
 COLUMNS = tuple(field.name for field in dataclasses.fields(Lap))
+# whole numbers up to here are exact in a float64
+MOST = 2**53
+_KINDS = {'int': (int,), 'float': (int, float), 'int | None': (int, type(None)),
+          'bool | None': (bool, type(None))}
 
 
 @dataclasses.dataclass
@@ -92,23 +102,22 @@ def read_json(path: Path | str) -> Results:
         ResultsError: the file is not there, is damaged, or is something else.
     """
     path = Path(path)
+    data = read_regular(path, MAX_BYTES, ResultsError)
     try:
-        if path.stat().st_size > MAX_BYTES:
-            raise ResultsError(f'{path} is longer than {MAX_BYTES} bytes')
-        values = json.loads(path.read_text(encoding='utf-8'))
-    except OSError as error:
-        raise ResultsError(f'{path}: {error.strerror}') from None
+        values = json.loads(data)
     except (ValueError, RecursionError) as error:
         raise ResultsError(f'{path} is not JSON: {error}') from None
     if not isinstance(values, dict) or values.get('format') != FORMAT:
         raise ResultsError(f'{path} is not a file of carracing evaluate (no format {FORMAT!r})')
     try:
         laps = [_lap(row) for row in values['laps']]
+        if len({lap.seed for lap in laps}) < len(laps):
+            raise ValueError('a seed comes twice')
         return Results(
             policy=dict(values['policy']), simulator=str(values['simulator']),
             laps={lap.seed: lap for lap in laps}, wanted=int(values['wanted']),
             seconds=float(values['seconds']), machine=dict(values['machine']))
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise ResultsError(f'{path} is damaged: {type(error).__name__} {error}') from None
 
 
@@ -127,7 +136,9 @@ def resume(path: Path | str, policy: dict[str, Any], simulator: str, seeds: rang
     for what, theirs, ours in (
         ('simulator', found.simulator, simulator),
         *((key, found.policy.get(key), policy.get(key))
-          for key in sorted(found.policy.keys() | policy.keys()) if key != 'name'),
+          # a model is known by its weights, whatever its folder is called
+          for key in sorted(found.policy.keys() | policy.keys())
+          if key != 'name' or policy.get('kind') != MODEL),
     ):
         if theirs != ours:
             raise ResultsError(
@@ -143,13 +154,49 @@ def resume(path: Path | str, policy: dict[str, Any], simulator: str, seeds: rang
 
 def _lap(row: Any) -> Lap:
     """Return the lap of a JSON object; raises KeyError, TypeError or ValueError."""
-    kinds = {'int': int, 'float': float, 'bool': bool, 'int | None': int, 'bool | None': bool}
     values = {}
     for field in dataclasses.fields(Lap):
         value = row[field.name]
-        if isinstance(value, str) or value is None and field.default is not None:
+        # written so that NaN fails: every comparison with it is False
+        if type(value) not in _KINDS[field.type] or not abs(value or 0) <= MOST:
             raise TypeError(f'{field.name} is {value!r}')
-        values[field.name] = value if value is None else kinds[field.type](value)
-    if values['frames'] < 1 or values['tiles_total'] is not None and values['tiles_total'] < 1:
-        raise ValueError(f'a lap of {values["frames"]} frames and {values["tiles_total"]} tiles')
+        values[field.name] = float(value) if field.type == 'float' else value
+    visited, total = values['tiles_visited'], values['tiles_total']
+    if values['frames'] < 1 or (visited, total) != (None, None) and (
+            None in (visited, total) or not 0 <= visited <= total or total < 1):
+        raise ValueError(f'a lap of {values["frames"]} frames and {visited} of {total} tiles')
     return Lap(**values)
+
+
+@contextlib.contextmanager
+def locked(path: Path | str) -> Iterator[None]:
+    """
+    Keep other processes from a file of laps inside the block: each would lose the other's.
+
+    Raises:
+        ResultsError: another one writes it.
+        OSError: the folder cannot be written.
+    """
+    path = Path(path)
+    place = path.parent / f'.{path.name}.lock'
+    while True:
+        handle = os.open(
+            place, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK, 0o644)
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(handle)
+            raise ResultsError(f'{path}: another process writes its laps there') from None
+        except OSError:
+            # a file system without locks
+            break
+        with contextlib.suppress(FileNotFoundError):
+            if os.path.samestat(os.fstat(handle), os.stat(place)):
+                break
+        # who had it before has removed it in between
+        os.close(handle)
+    try:
+        yield
+    finally:
+        place.unlink(missing_ok=True)
+        os.close(handle)

@@ -153,6 +153,14 @@ def share_interval(successes: int, trials: int) -> tuple[float, float]:
     return low, high
 
 
+def percent(share: float) -> str:
+    """Return a share, 0 to 1, in whole percent; 0 and 100 stand for none and all alone."""
+    text = f'{share:.0%}'
+    if text in ('0%', '100%') and 0.0 < share < 1.0:
+        return f'{min(max(share, 0.001), 0.999):.1%}'
+    return text
+
+
 def moving_average(values: np.ndarray, window: int) -> np.ndarray:
     """
     Return the mean of each value and up to `window` - 1 before it.

@@ -13,7 +13,7 @@ from pathlib import Path
 import time
 
 from carracing_dqn.evaluation.errors import EvaluationError
-from carracing_dqn.evaluation.laps import Lap, lap_of
+from carracing_dqn.evaluation.laps import Lap, lap_of, MAX_FRAMES
 from carracing_dqn.evaluation.policies import MODEL, PolicySource
 from dqn_policy_node.shipped_models import RANDOM
 
@@ -40,7 +40,8 @@ def drive_laps_through_graph(
 
     Raises:
         EvaluationError: a policy that no node can drive, a bag of more than one run of the
-            graph, or an episode that is missing or another than asked for.
+            graph, an episode that is missing or another than asked for, or a model that was
+            replaced meanwhile.
         BridgeError: what `run_graph` raises.
     """
     if source.kind not in (MODEL, RANDOM):
@@ -62,9 +63,15 @@ def drive_laps_through_graph(
             if summary['seed'] != seed:
                 raise EvaluationError(
                     f'the graph drove track {summary["seed"]:.0f}; expected {seed}')
+            frames = summary.get('step', 0.0)
+            # written so that NaN fails, too
+            if not 1 <= frames <= MAX_FRAMES:
+                raise EvaluationError(f'the graph says that track {seed} took {frames:g} frames')
+            # its node has loaded the model by now
+            source.check()
             now = time.perf_counter()
-            yield lap_of(seed, float(summary['episode_return']), int(summary['step']), summary,
-                         now - before)
+            yield lap_of(
+                seed, float(summary['episode_return']), int(frames), summary, now - before)
             before = now
         missing = next(expected, None)
         if missing is not None:

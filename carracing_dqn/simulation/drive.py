@@ -11,14 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from carracing_dqn.simulation.checks import blamed, Checks
+from carracing_dqn.simulation.checks import Checks, let_go_of
 from carracing_dqn.simulation.registry import construct, DEFAULT
 from carracing_dqn.simulation.settings import settings_for, SimulationSettings
 from msgs_bridge.errors import SimulatorError
 from msgs_bridge.settings import from_mapping
 from msgs_bridge.simulator import Outcome, Simulator
 from msgs_bridge.stamps import NANOSECONDS
-from msgs_bridge.step import CONTRACT_VERSION, Step
+from msgs_bridge.step import CONTRACT_VERSION, MAX_SECONDS, Step
 from msgs_bridge.twists import Command, STOP
 
 # A gap that no camera makes between frames, so that a policy sees a new scene by stamps alone.
@@ -70,13 +70,14 @@ class Drive:
         self.stamp = 0
         self.running = False
         self._checks = Checks(settings.simulator)
-        self._frame_nanoseconds = self._checks.frame_nanoseconds(simulator)
+        frame_seconds = self._checks.frame_seconds(simulator)
+        self._frame_nanoseconds = round(frame_seconds * NANOSECONDS)
         # longer than the gap between two frames, however long those last
         self._reset_nanoseconds = max(
             RESET_NANOSECONDS, 2 * settings.action_repeat * self._frame_nanoseconds)
         self._constants = {
             'contract_version': float(CONTRACT_VERSION),
-            'frame_seconds': float(simulator.frame_seconds),
+            'frame_seconds': frame_seconds,
             'action_repeat': float(settings.action_repeat),
             **self._checks.constants(simulator)}
         # of the episodes before the first, those that are still to be passed over
@@ -115,8 +116,7 @@ class Drive:
         until = time.monotonic() + seconds
         while self._to_skip and time.monotonic() < until:
             count = min(self._to_skip, SKIPPED_AT_ONCE)
-            with blamed(self.settings.simulator, 'skip'):
-                self.simulator.skip(count, self._stream_seed)
+            self._checks.skip(self.simulator, count, self._stream_seed)
             self._to_skip -= count
             self._stream_seed = None
         return self._to_skip
@@ -126,7 +126,8 @@ class Drive:
         Reset to the next episode and return its first frame.
 
         Raises:
-            SimulatorError: what the simulator gives is none of what it owes.
+            SimulatorError: what the simulator gives is none of what it owes, or its time has come
+                to the end of what a stamp can say.
             BridgeError: what it raises on purpose.
         """
         self.skip_for(math.inf)
@@ -141,7 +142,7 @@ class Drive:
         self.running = True
         self._decision = self._frames = self._unanswered = 0
         self._return = 0.0
-        self.stamp += self._reset_nanoseconds
+        self._let_pass(self._reset_nanoseconds)
         step = self._step(outcome._replace(reward=0.0, terminated=False, truncated=False),
                           STOP, None)
         return Frame(self.stamp, outcome.pixels, step, self._summary(step))
@@ -155,8 +156,8 @@ class Drive:
             applied: stamp in ns of the twist it came from; None when there was none.
 
         Raises:
-            SimulatorError: no episode is running, or what the simulator gives is none of what it
-                owes.
+            SimulatorError: no episode is running, what the simulator gives is none of what it
+                owes, or its time has come to the end of what a stamp can say.
             BridgeError: what it raises on purpose.
         """
         if not self.running:
@@ -167,7 +168,7 @@ class Drive:
         self._unanswered += applied is None
         self._return += outcome.reward
         self._checks.episode_return(self._return)
-        self.stamp += outcome.frames * self._frame_nanoseconds
+        self._let_pass(outcome.frames * self._frame_nanoseconds)
         step = self._step(outcome, command, applied)
         self._last = step
         if not step.ended:
@@ -183,9 +184,15 @@ class Drive:
         return {**self._summary(self._last), 'truncated': 1.0}
 
     def close(self) -> None:
-        """Let go of the simulator; raises SimulatorError where it cannot."""
-        with blamed(self.settings.simulator, 'close'):
-            self.simulator.close()
+        """Let go of the simulator; raises SimulatorError where it cannot, as `Checks.close`."""
+        self._checks.close(self.simulator)
+
+    def _let_pass(self, nanoseconds: int) -> None:
+        self.stamp += nanoseconds
+        if self.stamp >= (MAX_SECONDS + 1) * NANOSECONDS:
+            raise SimulatorError(
+                f'simulated {MAX_SECONDS} s, after which no stamp of ROS can say the time: start '
+                'anew, with first_episode to go on')
 
     def _step(self, outcome: Outcome, command: Command, applied: int | None) -> Step:
         step = self._last = Step(
@@ -207,6 +214,18 @@ class Drive:
         return {**{name: float(value) for name, value in values.items()}, **self._constants}
 
 
+def make_drive(settings: SimulationSettings) -> Drive:
+    """
+    Make the simulator that settings name, of which they are the settings, and its drive.
+
+    Raises:
+        SimulatorError: no such simulator, it cannot run here, or it owes something.
+    """
+    simulator = construct(settings.simulator, settings)
+    with let_go_of(simulator):
+        return Drive(simulator, settings)
+
+
 def open_drive(values: Mapping[str, Any] | None = None) -> Drive:
     """
     Make a simulator and its drive from settings by name, as the node does from parameters.
@@ -217,5 +236,4 @@ def open_drive(values: Mapping[str, Any] | None = None) -> Drive:
     """
     values = dict(values or {})
     name = values.get('simulator', DEFAULT)
-    settings = from_mapping(settings_for(name), values)
-    return Drive(construct(name, settings), settings)
+    return make_drive(from_mapping(settings_for(name), values))

@@ -180,6 +180,10 @@ def _stamps(seen: Seen) -> Finding:
 
 def _size(seen: Seen, wanted: Wanted) -> Finding:
     sizes = ' and '.join(f'{width}x{height}' for width, height in sorted(seen.sizes))
+    seen_as = f'the model sees {wanted.frame[0]}x{wanted.frame[1]}'
+    if not seen.sizes and wanted.vehicle.get('camera_compressed') and not seen.refused:
+        return Finding('size', UNSURE, f'compressed images do not say; {seen_as}',
+                       'a camera, or a camera_crop, of these proportions')
     if not seen.sizes:
         return Finding('size', BAD, 'of no image that can be used', 'camera_compressed')
     width, height = min(seen.sizes)
@@ -202,7 +206,7 @@ def _size(seen: Seen, wanted: Wanted) -> Finding:
             'size', BAD, f'{sizes} is squeezed into {wanted.frame[0]}x{wanted.frame[1]}',
             f"camera_crop:='{(width - keep[0]) // 2},{height - keep[1]},{keep[0]},{keep[1]}', or "
             'another part of these proportions')
-    return Finding('size', GOOD, f'{sizes}, the model sees {wanted.frame[0]}x{wanted.frame[1]}')
+    return Finding('size', GOOD, f'{sizes}, {seen_as}')
 
 
 def _encoding(seen: Seen, wanted: Wanted) -> Finding:

@@ -14,26 +14,32 @@ Behaviour when things go wrong: a twist that is not finite, whose stamp is none 
 another frame is counted in the diagnostics and logged (throttled), one out of range is clamped
 and counted; an unanswered frame is sent again after `answer_timeout`, or the car coasts or holds,
 as `on_timeout` says; in real time a stale twist becomes zero; where somebody publishes /clock
-already, this node does not; a simulator that cannot go on ends the node with one line and code 2.
+already, this node does not; a simulator that cannot go on ends the node with one line and code 2,
+and so does one that has not come back ten seconds after the node was stopped.
 Wall time decides about all of it, so that `use_sim_time` changes nothing.
 """
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 import functools
+import os
+import threading
 import time
 
-from carracing_dqn.simulation.drive import Drive, Frame
-from carracing_dqn.simulation.registry import construct, DEFAULT
+from carracing_dqn.simulation.checks import let_go_of
+from carracing_dqn.simulation.drive import Frame, make_drive
+from carracing_dqn.simulation.registry import DEFAULT
 from carracing_dqn.simulation.settings import node_settings
 from carracing_dqn.simulation.stepping import Lockstep, RealTime
 from diagnostic_msgs.msg import DiagnosticStatus
 from msgs_bridge import topics
 from msgs_bridge.errors import BridgeError, MessageError
 from msgs_bridge.images import fill_compressed_image, fill_image
+from msgs_bridge.last_line import say
 from msgs_bridge.matching import publishers_of
 from msgs_bridge.named_values import fill_named_values
 from msgs_bridge.node_shell import Finished, NodeShell
+from msgs_bridge.plain_text import plain
 from msgs_bridge.stamps import NANOSECONDS, set_stamp, to_nanoseconds
 from msgs_bridge.twists import read_command
 from rclpy.duration import Duration
@@ -49,8 +55,14 @@ BEAT_SECONDS = 0.05
 SKIP_SECONDS = 0.03
 # how long after we have seen all connections the other nodes may still be making theirs
 SETTLE_SECONDS = 0.4
+# characters of what a simulator says of itself
+LONGEST_DESCRIPTION = 300
 # what the subscribers have at the end to take the last messages
 LAST_WORDS = Duration(seconds=1)
+# what a simulator has, once the node is to end, to come back from whatever it does, and how often
+# to look whether it is
+PATIENCE_SECONDS = 10.0
+LOOK_SECONDS = 0.5
 
 
 class SimulatorNode(NodeShell):
@@ -75,9 +87,15 @@ class SimulatorNode(NodeShell):
             SimulatorError: no such simulator, or it cannot run here.
         """
         super().__init__(name, functools.partial(node_settings, simulator=simulator))
+        self._closing, self._gone = threading.Event(), threading.Event()
+        threading.Thread(target=self._end_anyway, name='patience', daemon=True).start()
+        self.drive = make_drive(self.settings)
+        with let_go_of(self.drive.simulator):
+            self._join_graph()
+
+    def _join_graph(self) -> None:
+        """Create what others see of the node, and wait for a driver."""
         settings = self.settings
-        simulator = construct(settings.simulator, settings)
-        self.drive = Drive(simulator, settings)
         self._lockstep = settings.stepping == 'lockstep'
         self._stepping = (Lockstep if self._lockstep else RealTime)(self.drive, self)
         self._image_publisher = self.publisher(
@@ -96,8 +114,18 @@ class SimulatorNode(NodeShell):
         self._rate_from = (time.monotonic(), 0, 0)
         self._ready_since: float | None = None
         self._timer = self.create_timer(BEAT_SECONDS, self._start_when_ready)
-        self.get_logger().info(
-            f'{simulator.description or settings.simulator}, {settings.stepping}')
+        # of somebody's class
+        told = plain(self.drive.simulator.description or settings.simulator, LONGEST_DESCRIPTION)
+        self.get_logger().info(f'{told}, {settings.stepping}')
+
+    def _end_anyway(self) -> None:
+        """End the process where the simulator, somebody's code, does not come back in time."""
+        while self.context.ok() and not self._closing.wait(LOOK_SECONDS):
+            pass
+        if not self._gone.wait(PATIENCE_SECONDS):
+            say(f'error: simulator {plain(self.settings.simulator)!r} has not come back for '
+                f'{PATIENCE_SECONDS:g} s: ended without it')
+            os._exit(2)
 
     def open_outlets(self) -> Sequence[Publisher]:
         """
@@ -287,6 +315,7 @@ class SimulatorNode(NodeShell):
 
     def close(self) -> None:
         """Let the last frame arrive, then let go of the simulator."""
+        self._closing.set()
         for publisher in self.must_arrive:
             try:
                 publisher.wait_for_all_acked(LAST_WORDS)
@@ -295,3 +324,8 @@ class SimulatorNode(NodeShell):
                 if self.context.ok():
                     raise
         self.drive.close()
+
+    def destroy_node(self) -> None:
+        """Leave the graph; nothing of the simulator is waited for any more."""
+        self._gone.set()
+        super().destroy_node()

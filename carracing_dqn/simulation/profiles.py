@@ -167,7 +167,7 @@ def as_simulator(profile: Profile, path: Path, base: type[Simulator]) -> type[Si
         SettingsError: a setting that the simulator does not have, or a value not accepted.
     """
     for module, install in profile.needs.items():
-        if importlib.util.find_spec(module) is None:
+        if not _is_installed(module):
             raise SimulatorError(f'{path.stem}: {module} is not installed: {install}')
     known = describe(base.Settings)
     fields = []
@@ -192,6 +192,14 @@ def as_simulator(profile: Profile, path: Path, base: type[Simulator]) -> type[Si
         'deterministic': (base.deterministic if profile.deterministic is None
                           else profile.deterministic),
         '__doc__': profile.about or base.__doc__})
+
+
+def _is_installed(module: str) -> bool:
+    try:
+        return importlib.util.find_spec(module) is not None
+    except ValueError:
+        # a module that is there already, and from nowhere, as __main__ may be
+        return True
 
 
 def seen_from(name: str, folder: Path | str) -> str:

@@ -20,6 +20,7 @@ import numpy as np
 from carracing_dqn.simulation.referee_settings import PATH, RefereeSettings, TOPIC
 from msgs_bridge import topics
 from msgs_bridge.errors import MessageError
+from msgs_bridge.plain_text import plain
 from msgs_bridge.stamps import NANOSECONDS
 from msgs_bridge.step import CONTRACT_VERSION, read_step, Step
 from msgs_bridge.twists import Command
@@ -27,6 +28,10 @@ from msgs_bridge.twists import Command
 # messages of odometry and twists that are kept, and frames that wait to be judged
 KEPT = 1000
 MOST_WAITING = 500
+# images of one stamp in a row, from which on it is told that the stamps stand
+MOST_AGAIN = 10
+# characters that tell one frame of coordinates from another
+LONGEST_FRAME_NAME = 40
 MOST_POINTS = 100_000
 # of a path: how far away its points may be, and from what length on a piece of it is one; m
 MOST_METRES, LEAST_PIECE = 1e9, 1e-100
@@ -45,6 +50,20 @@ class Pose(NamedTuple):
     x: float
     y: float
     yaw: float
+
+
+def yaw_of(x: float, y: float, z: float, w: float) -> float:
+    """
+    Return the rotation about z of a quaternion of any length, rad.
+
+    Raises:
+        MessageError: it is no rotation, as the zeros of who knows no orientation are none.
+    """
+    length = math.hypot(x, y, z, w)
+    if not 0.0 < length < math.inf:
+        raise MessageError(f'odometry without an orientation: x {x:g}, y {y:g}, z {z:g}, w {w:g}')
+    x, y, z, w = x / length, y / length, z / length, w / length
+    return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 
 class Place(NamedTuple):
@@ -146,6 +165,7 @@ class Referee:
         missing: why frames are left out now, a text by topic.
         published: names of the topics that somebody publishes; to be kept up to date.
         resetting: whether it waits for `reset_done`.
+        again: how many images in a row have come with the stamp of the one before.
     """
 
     def __init__(self, settings: RefereeSettings) -> None:
@@ -162,6 +182,9 @@ class Referee:
         self._poses: deque[tuple[int, Pose]] = deque(maxlen=KEPT)
         self._twists: deque[tuple[int, Command]] = deque(maxlen=KEPT)
         self._numbers: dict[str, tuple[float, float]] = {}
+        # frames of coordinates by topic, '' where none was named
+        self._coordinates: dict[str, str] = {}
+        self.again = 0
         self._collided = False
         self._path: Path | None = None
         self.episode = -1
@@ -183,7 +206,10 @@ class Referee:
         """
         newest = self._waiting[-1].stamp if self._waiting else self._sight and self._sight.stamp
         if stamp == newest:
+            self.again += 1
+            self.counts['images_sent_again'] += 1
             return
+        self.again = 0
         if len(self._waiting) == MOST_WAITING:
             self._leave_out()
         self._waiting.append(_Image(stamp, now, self._collided, dict(self._numbers)))
@@ -195,15 +221,16 @@ class Referee:
             self._twists.clear()
         self._twists.append((stamp, command))
 
-    def hear_odometry(self, stamp: int, pose: Pose) -> None:
+    def hear_odometry(self, stamp: int, pose: Pose, frame_id: str = '') -> None:
         """
-        Take where the robot was at a stamp.
+        Take where the robot was at a stamp in ns, by coordinates of a frame.
 
         Raises:
             MessageError: not finite.
         """
         if not all(map(math.isfinite, pose)):
             raise MessageError(f'odometry that is not finite: {tuple(pose)}')
+        self._coordinates[ODOM] = _frame_name(frame_id)
         if self._poses and stamp < self._poses[-1][0]:
             self._poses.clear()
         self._poses.append((stamp, pose))
@@ -223,14 +250,15 @@ class Referee:
             raise MessageError(f'{topic} is {value}')
         self._numbers[topic] = value, now
 
-    def hear_path(self, points: np.ndarray) -> None:
+    def hear_path(self, points: np.ndarray, frame_id: str = '') -> None:
         """
-        Take the path to follow from now on.
+        Take the path to follow from now on, (N, 2) in m by coordinates of a frame.
 
         Raises:
             MessageError: it is none.
         """
         self._path = Path(points)
+        self._coordinates[THE_PATH] = _frame_name(frame_id)
         # along another path nothing is gained yet
         if self._sight is not None and self._sight.pose is not None:
             self._sight = dataclasses.replace(
@@ -297,8 +325,13 @@ class Referee:
         self.resetting = bool(self._settings.reset_service)
 
     def _leave_out(self) -> None:
-        self._waiting.popleft()
+        image = self._waiting.popleft()
         self.counts['frames_not_judged'] += 1
+        if image.collided:
+            # it happened all the same: the next frame that can be judged bears it
+            self._collided = self._collided or not self._waiting
+            if self._waiting:
+                self._waiting[0] = self._waiting[0]._replace(collided=True)
         if self._running:
             # what comes next is no successor of what was judged last
             self._last = dataclasses.replace(self._last, decision=self._last.decision + 1)
@@ -320,6 +353,11 @@ class Referee:
                 sight = dataclasses.replace(sight, **{topic: value})
         if THE_PATH in needed and self._path is None:
             self._lacking[THE_PATH] = 'nothing has come yet'
+        elif THE_PATH in needed and ODOM in needed:
+            ours, theirs = (self._coordinates.get(one, '') for one in (ODOM, THE_PATH))
+            if ours and theirs and ours != theirs:
+                self._lacking[THE_PATH] = (
+                    f'it is in the frame {theirs!r}, odom in {ours!r}; both must be in one')
         if self._lacking:
             return None
         if self._path is not None and sight.pose is not None:
@@ -448,6 +486,11 @@ class Referee:
         if GOAL in self.needed:
             values['goal_reached'] = step.info['goal_reached']
         return {name: float(value) for name, value in values.items()}
+
+
+def _frame_name(frame_id: str) -> str:
+    # older robots write a / before it
+    return plain(frame_id.removeprefix('/'), LONGEST_FRAME_NAME)
 
 
 def needed_topics(settings: RefereeSettings) -> dict[str, str]:

@@ -19,12 +19,11 @@ logged (throttled); a reset that is refused or not answered is asked for again.
 from __future__ import annotations
 
 import functools
-import math
 import sys
 import time
 
 from carracing_dqn.simulation.referee import (
-    COLLISION, GOAL, Judgement, LANE_OFFSET, ODOM, Pose, Referee, THE_PATH,
+    COLLISION, GOAL, Judgement, LANE_OFFSET, MOST_AGAIN, ODOM, Pose, Referee, THE_PATH, yaw_of,
 )
 from carracing_dqn.simulation.referee_settings import RefereeSettings
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -32,7 +31,7 @@ from msgs_bridge import topics
 from msgs_bridge.errors import MessageError, SettingsError
 from msgs_bridge.named_values import fill_named_values
 from msgs_bridge.node_shell import NodeShell, run_node
-from msgs_bridge.stamps import to_nanoseconds
+from msgs_bridge.stamps import NANOSECONDS, to_nanoseconds
 from msgs_bridge.twists import read_command
 import numpy as np
 from sensor_msgs.msg import JointState
@@ -88,6 +87,10 @@ class RefereeNode(NodeShell):
 
     def _on_image(self, message: object) -> None:
         stamp = _stamp_of(message)
+        if not stamp:
+            # which says none, as everywhere in ROS
+            raise MessageError('an image without a stamp: no frame can be told from another; the '
+                               'camera has to stamp them')
         if self._open:
             self._take_inputs()
             self._referee.see_image(stamp, time.monotonic())
@@ -99,14 +102,14 @@ class RefereeNode(NodeShell):
     def _on_odometry(self, message: object) -> None:
         pose = message.pose.pose
         turn = pose.orientation
-        yaw = math.atan2(2 * (turn.w * turn.z + turn.x * turn.y),
-                         1 - 2 * (turn.y * turn.y + turn.z * turn.z))
+        yaw = yaw_of(turn.x, turn.y, turn.z, turn.w)
         self._referee.hear_odometry(
-            _stamp_of(message), Pose(pose.position.x, pose.position.y, yaw))
+            _stamp_of(message), Pose(pose.position.x, pose.position.y, yaw),
+            message.header.frame_id)
 
     def _on_path(self, message: object) -> None:
         points = [(one.pose.position.x, one.pose.position.y) for one in message.poses]
-        self._referee.hear_path(np.array(points, float).reshape(-1, 2))
+        self._referee.hear_path(np.array(points, float).reshape(-1, 2), message.header.frame_id)
 
     def _on_collision(self, message: object) -> None:
         self._referee.hear_collision(message.data)
@@ -201,16 +204,20 @@ class RefereeNode(NodeShell):
             return DiagnosticStatus.WARN, f'not judging: {told}', values
         if referee.resetting:
             return DiagnosticStatus.OK, 'waiting for the reset of the robot', values
+        if referee.again >= MOST_AGAIN:
+            return DiagnosticStatus.WARN, (
+                f'not judging: {referee.again} images in a row bear one stamp: a camera whose '
+                'stamps stand, or a simulator that waits for its driver'), values
         if not referee.running:
             return DiagnosticStatus.OK, 'waiting for the next episode', values
         return DiagnosticStatus.OK, 'judging', values
 
 
 def _stamp_of(message: object) -> int:
-    stamp = to_nanoseconds(message.header.stamp)
-    if stamp < 0:
-        raise MessageError(f'a stamp of {message.header.stamp.sec} s')
-    return stamp
+    stamp = message.header.stamp
+    if stamp.sec < 0 or stamp.nanosec >= NANOSECONDS:
+        raise MessageError(f'a stamp of {stamp.sec} s and {stamp.nanosec} ns')
+    return to_nanoseconds(stamp)
 
 
 def main(args: list[str] | None = None) -> int:

@@ -11,16 +11,16 @@ without any of that a simulator is named `module:Class`.
 from __future__ import annotations
 
 from collections.abc import Mapping
+import contextlib
 import functools
 import importlib
 from importlib.metadata import entry_points
-import math
 import os
 from pathlib import Path
 import sys
 from typing import Any
 
-from carracing_dqn.simulation.checks import blamed
+from carracing_dqn.simulation.checks import blamed, Checks
 from carracing_dqn.simulation.profiles import (
     as_simulator, find_profile, load_profile, profile_names,
 )
@@ -82,8 +82,10 @@ def find_simulator(name: str, *, registered_only: bool = False) -> type[Simulato
                                  f'{", ".join(simulator_names())}; PROFILE.yaml; or module:Class')
         place = name
         # console scripts, other than `python -m`, do not look into the folder they are called in
-        if os.getcwd() not in sys.path:
-            sys.path.append(os.getcwd())
+        with contextlib.suppress(OSError):
+            # which may have been removed
+            if os.getcwd() not in sys.path:
+                sys.path.append(os.getcwd())
     found = _load(place, name)
     missing = [what for what in OWED if not hasattr(found, what)]
     if not isinstance(found, type) or missing:
@@ -106,7 +108,11 @@ def make_simulator(name: str, values: Mapping[str, Any] | None = None) -> Simula
         SimulatorError: there is none, or it cannot run here.
         SettingsError: a setting that is unknown or not accepted.
     """
-    return construct(name, from_mapping(find_simulator(name).Settings, dict(values or {})))
+    kind = find_simulator(name).Settings
+    # it may check itself
+    with blamed(name, 'Settings'):
+        settings = from_mapping(kind, dict(values or {}))
+    return construct(name, settings)
 
 
 def construct(name: str, settings: Any) -> Simulator:
@@ -128,15 +134,15 @@ def frame_seconds(name: str) -> float:
     Raises:
         SimulatorError, SettingsError: as `make_simulator`.
     """
-    seconds = getattr(find_simulator(name), 'frame_seconds', None)
-    if isinstance(seconds, (int, float)):
-        return seconds
+    checks, kind = Checks(name), find_simulator(name)
+    if isinstance(getattr(kind, 'frame_seconds', None), (int, float)):
+        return checks.frame_seconds(kind)
     # only one that is made knows its own
     simulator = make_simulator(name)
     try:
-        return getattr(simulator, 'frame_seconds', math.nan)
+        return checks.frame_seconds(simulator)
     finally:
-        simulator.close()
+        checks.close(simulator)
 
 
 @functools.cache
@@ -158,10 +164,16 @@ def _load(place: str, name: str) -> Any:
         raise SimulatorError(f'simulator {_shown(name)}: cannot import {_shown(module_name)}: '
                              f'{type(error).__name__}: {plain(error)}') from None
     for part in path.split('.'):
-        if not hasattr(found, part):
+        try:
+            found = getattr(found, part)
+        except AttributeError:
             raise SimulatorError(
-                f'simulator {_shown(name)}: {_shown(module_name)} has no {_shown(path)}')
-        found = getattr(found, part)
+                f'simulator {_shown(name)}: {_shown(module_name)} has no {_shown(path)}') from None
+        except (Exception, SystemExit) as error:
+            # a module may import what it offers only now
+            raise SimulatorError(f'simulator {_shown(name)}: {_shown(module_name)} cannot give '
+                                 f'{_shown(path)}: {type(error).__name__}: {plain(error)}'
+                                 ) from None
     return found
 
 
@@ -172,6 +184,8 @@ def _check_settings(settings_class: Any, name: str) -> None:
             if kind not in (int, float, str, bool):
                 raise SettingsError(f'{one} must be an int, float, str or bool')
             check_value(one, kind, description, default)
+        if not settings_class.__dataclass_params__.frozen:
+            raise SettingsError('it is not frozen')
     except Exception as error:
         # a class that is no dataclass, a field without a description, a hint that means nothing
         reason = str(error) if isinstance(error, SettingsError) else repr(error)

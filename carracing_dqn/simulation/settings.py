@@ -8,6 +8,7 @@ import dataclasses
 import functools
 from types import MappingProxyType
 
+from carracing_dqn.simulation.checks import blamed
 from carracing_dqn.simulation.registry import DEFAULT, find_simulator
 from msgs_bridge.errors import SettingsError
 from msgs_bridge.settings import check_value, describe, setting
@@ -82,8 +83,18 @@ def settings_for(simulator: str) -> type:
     # what the node is without a word is this simulator
     default = ('simulator', str, dataclasses.field(
         default=simulator, metadata={'description': shared['simulator'][2]}))
-    return dataclasses.make_dataclass(
-        'NodeSettings', [default], bases=(own, SimulationSettings), frozen=True)
+
+    def check_itself(settings: object) -> None:
+        """Let the simulator's settings check themselves, where they do; raises BridgeErrors."""
+        check = getattr(super(made, settings), '__post_init__', None)
+        if check is not None:
+            with blamed(simulator, 'Settings'):
+                check()
+
+    made = dataclasses.make_dataclass(
+        'NodeSettings', [default], bases=(own, SimulationSettings), frozen=True,
+        namespace={'__post_init__': check_itself})
+    return made
 
 
 def node_settings(

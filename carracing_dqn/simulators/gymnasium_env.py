@@ -10,6 +10,7 @@ import math
 import re
 from typing import Any, NamedTuple
 
+from carracing_dqn.simulation.checks import let_go_of
 from carracing_dqn.simulators.space_mapping import action_encoder
 import gymnasium
 from msgs_bridge.errors import SimulatorError
@@ -23,6 +24,7 @@ from msgs_bridge.yaml_text import load_yaml
 import numpy as np
 
 OBSERVATION, RENDERED = 'observation', 'rendered'
+RENDER_MODE = 'rgb_array'
 # of an environment that names none in metadata['render_fps']
 FRAMES_PER_SECOND = 30.0
 SIZE = re.compile(r'\d{1,4}x\d{1,4}')
@@ -76,18 +78,15 @@ class GymnasiumEnv(Simulator):
         # by these a bag can be driven again
         self.constants = numbers(settings, self.Settings)
         self.env = _make(settings)
-        try:
+        with let_go_of(self.env):
             self._encode = action_encoder(
                 self.env.action_space, load_yaml(settings.action, 'action', SimulatorError))
             self._picture = _picture_of(self.env, settings.picture)
             self._crop = parse_crop('picture_crop', settings.picture_crop, SimulatorError)
             self._size = _size_of(settings.picture_size)
             self._sources = _sources_of(settings.info)
-        except SimulatorError:
-            self.env.close()
-            raise
-        fps = (self.env.metadata or {}).get('render_fps') or FRAMES_PER_SECOND
-        self.frame_seconds = settings.frame_duration or 1.0 / float(fps)
+            fps = (self.env.metadata or {}).get('render_fps') or FRAMES_PER_SECOND
+            self.frame_seconds = settings.frame_duration or 1.0 / float(fps)
 
     def reset(self, seed: int | None) -> Outcome:
         """Begin an episode; with None the environment goes on with its own random numbers."""
@@ -113,7 +112,7 @@ class GymnasiumEnv(Simulator):
                 if self._sources[name].needed:
                     raise SimulatorError(
                         f'info: {name}: {self._sources[name].text} is no number of this '
-                        f'environment; info holds {plain(", ".join(map(str, info)) or "nothing")}')
+                        f'environment; info holds {plain(_names_in(info))}')
                 values[name] = 0.0
         return Outcome(self._pixels(observation), reward, bool(terminated), bool(truncated),
                        values, passed)
@@ -199,7 +198,13 @@ def _make(settings: GymnasiumEnvSettings) -> gymnasium.Env:
     options = load_yaml(settings.environment_options, 'environment_options', SimulatorError) or {}
     if not isinstance(options, dict) or not all(isinstance(one, str) for one in options):
         raise SimulatorError('environment_options must be a mapping of names to values')
-    wanted = {**options, 'render_mode': 'rgb_array'}
+    wanted = dict(options)
+    if settings.picture == RENDERED:
+        if options.get('render_mode', RENDER_MODE) != RENDER_MODE:
+            raise SimulatorError(f'environment_options: render_mode is '
+                                 f'{plain(options["render_mode"])!r}; accepted with picture '
+                                 f'{RENDERED}: {RENDER_MODE!r}')
+        wanted['render_mode'] = RENDER_MODE
     if settings.max_episode_frames:
         wanted['max_episode_steps'] = settings.max_episode_frames
     # what it says through its own logger on the way, such as that a newer version exists
@@ -219,7 +224,7 @@ def _make(settings: GymnasiumEnvSettings) -> gymnasium.Env:
 def _picture_of(env: gymnasium.Env, picture: str) -> Callable[[Any], Any]:
     """Return what takes the picture, given the observation."""
     if picture == RENDERED:
-        if env.render_mode != 'rgb_array':
+        if env.render_mode != RENDER_MODE:
             raise SimulatorError(f'it does not render: its modes are '
                                  f'{", ".join((env.metadata or {}).get("render_modes", []))}')
         return lambda _: env.render()
@@ -276,6 +281,11 @@ def _sources_of(text: str) -> dict[str, _Source]:
     return sources
 
 
+def _names_in(info: Any) -> str:
+    names = ', '.join(map(str, info)) if isinstance(info, Mapping) else ''
+    return names or 'nothing'
+
+
 def _number(places: Mapping[str, Any], path: tuple[str, ...]) -> float | None:
     """Return the finite number at a path, or None."""
     value: Any = places
@@ -283,6 +293,6 @@ def _number(places: Mapping[str, Any], path: tuple[str, ...]) -> float | None:
         for part in path:
             value = value[part] if isinstance(value, Mapping) else value[int(part)]
         number = float(value)
-    except (KeyError, IndexError, TypeError, ValueError):
+    except (KeyError, IndexError, TypeError, ValueError, OverflowError):
         return None
     return number if math.isfinite(number) else None

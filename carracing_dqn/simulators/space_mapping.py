@@ -4,7 +4,8 @@
 From a command to an action of a Gymnasium space, by a mapping in YAML.
 
 Box: a list with one `{linear: a, angular: b, offset: c}` for each number of it, which becomes
-a x linear + b x angular + c within the bounds; of a single number the mapping alone.
+a x linear + b x angular + c within the bounds, rounded where the numbers are whole; of a single
+number the mapping alone.
 Discrete: `{nearest: [[linear, angular], ...]}`, a command for each action; the nearest one counts.
 MultiDiscrete, MultiBinary: a list with the mapping of a Discrete for each place.
 Tuple: a list with the mapping of each part. Dict: the mapping of each part by its name.
@@ -21,6 +22,8 @@ from msgs_bridge.twists import Command
 import numpy as np
 
 WEIGHTS = ('linear', 'angular', 'offset')
+# whole numbers of a space are nearer to 0
+BEYOND = 2.0**64
 
 Encode = Callable[[Command], Any]
 
@@ -68,7 +71,17 @@ def _box(space: spaces.Box, mapping: Any, where: str) -> Encode:
     def encode(command: Command) -> np.ndarray:
         values = weights @ (command.linear, command.angular, 1.0)
         return np.clip(values.reshape(space.shape), space.low, space.high).astype(space.dtype)
-    return encode
+
+    # as Python's, because bounds of 64 bits are no numbers of a float
+    lows, highs = space.low.ravel().tolist(), space.high.ravel().tolist()
+
+    def encode_whole(command: Command) -> np.ndarray:
+        values = np.clip(weights @ (command.linear, command.angular, 1.0), -BEYOND, BEYOND)
+        whole = [min(max(round(value), low), high)
+                 for value, low, high in zip(values.tolist(), lows, highs)]
+        return np.array(whole, space.dtype).reshape(space.shape)
+
+    return encode_whole if np.issubdtype(space.dtype, np.integer) else encode
 
 
 def _weights(mapping: Any, where: str) -> list[float]:

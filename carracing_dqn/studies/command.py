@@ -82,7 +82,9 @@ class _Session:
             self._study, self._arms, outcomes, self._arguments.page or self._output)
         self._say(f'wrote {page}')
         if interrupted:
-            self._say(f'stopped; go on with: carracing study {shlex.quote(self._arguments.study)}')
+            output = self._arguments.output
+            self._say(f'stopped; go on with: carracing study {shlex.quote(self._arguments.study)}'
+                      + (f' --output={shlex.quote(str(output))}' if output else ''))
             return INTERRUPTED
         return FAILED if any(outcome.problem for outcome in outcomes) else 0
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from carracing_dqn.evaluation.figure_style import image_bytes
+from carracing_dqn.evaluation.statistics import percent
 from carracing_dqn.studies.bootstrap import (
     Estimate, estimate, improvement, interquartile_mean, permutation_p,
 )
@@ -27,6 +28,8 @@ MIDDLE = 0.5
 """Probability of improvement of what makes no difference."""
 
 SIGNIFICANT = 0.05
+# less is not shown as a number, which would be 0.00
+LEAST_P = 0.01
 RUN_FIGURES = {
     'decisions': '.0f', 'episodes': '.0f', 'updates': '.0f', 'q_mean': '.2f', 'minutes': '.0f'}
 SETTINGS_SHOWN = 12
@@ -89,7 +92,8 @@ def _markdown(
     lines += ['', f'![Curves and scores]({study.name}.png)', '', _reading(study, baseline), '']
     lines += _result_table(baseline, by_arm)
     lines += ['', '## Arms', '', '| arm | what it is | settings of its own |', '|---|---|---|']
-    lines += [f'| {arm.name} | {arm.about} | {_settings_of(arm)} |' for arm in arms]
+    lines += [f'| {arm.name} | {_cell(arm.about)} | {_cell(_settings_of(arm))} |'
+              for arm in arms]
     if study.set:
         lines += ['', f'All of them: {_pairs(study.set)}.']
     lines += ['', '## Runs', '', *_run_table(runs), '']
@@ -148,7 +152,8 @@ def _verdict(scores: np.ndarray, base: np.ndarray) -> str:
     else:
         word = 'better' if found.low > MIDDLE else 'worse'
         word = f'**{word}**' if p <= SIGNIFICANT else f'{word} here'
-    return f'{_bracketed(found, ".2f")} | {p:.2f}, {word}'
+    shown = f'{p:.2f}' if p >= LEAST_P else f'below {LEAST_P:g}'
+    return f'{_bracketed(found, ".2f")} | {shown}, {word}'
 
 
 def _bracketed(found: Estimate, form: str) -> str:
@@ -166,7 +171,7 @@ def _share(outcomes: Sequence[Outcome], name: str) -> str:
     shares = [getattr(outcome.statistics, name) for outcome in outcomes if outcome.laps]
     if not shares or None in shares:
         return ''
-    return f'{100 * np.mean(shares):.0f} %'
+    return percent(float(np.mean(shares))).replace('%', ' %')
 
 
 def _settings_of(arm: Arm) -> str:

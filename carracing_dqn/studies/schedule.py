@@ -18,7 +18,7 @@ import subprocess
 import sys
 import time
 
-from carracing_dqn.evaluation.workers import THREAD_VARIABLES
+from carracing_dqn.evaluation.workers import open_at_once, THREAD_VARIABLES
 from carracing_dqn.studies.one_run import PLAN
 from carracing_dqn.studies.study_file import PlannedRun, StudySettings
 from msgs_bridge.atomic_write import write_text
@@ -105,11 +105,13 @@ class Schedule:
             run.folder.mkdir(parents=True, exist_ok=True)
             (run.folder / FAILURE).unlink(missing_ok=True)
             write_text(run.folder / PLAN, to_yaml(run.settings))
-            with open(run.folder / LOG, 'ab') as log:
+            with open(run.folder / LOG, 'ab', opener=open_at_once) as log:
                 process = subprocess.Popen(
-                    [sys.executable, '-m', 'carracing_dqn.studies.one_run', str(run.folder),
+                    [sys.executable, '-m', 'carracing_dqn.studies.one_run',
                      '--laps', str(settings.laps), '--test-seed', str(settings.test_seed),
-                     '--model', settings.model, '--parent', str(os.getpid())],
+                     '--model', settings.model, '--parent', str(os.getpid()),
+                     # its name may begin with a dash
+                     '--', str(run.folder)],
                     stdin=subprocess.DEVNULL, stdout=log, stderr=log,
                     # Ctrl-C in a terminal is for the command, which passes it on once
                     start_new_session=True,
@@ -159,7 +161,7 @@ def why_ended(folder: Path, code: int) -> str:
     if code < 0:
         return f'its process was ended by signal {-code}'
     with contextlib.suppress(OSError):
-        with open(folder / LOG, 'rb') as log:
+        with open(folder / LOG, 'rb', opener=open_at_once) as log:
             log.seek(max(log.seek(0, os.SEEK_END) - 8 * MAX_REASON, 0))
             lines = log.read().decode('utf-8', 'replace').split('\n')
         said = [line.strip() for line in lines if line.strip()]

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from carracing_dqn.simulation import make_simulator
+from carracing_dqn.simulation.checks import Checks
 from carracing_dqn.simulation.profiles import profile_of, seen_from
 
 PRESET = 'racing'
@@ -49,13 +50,14 @@ def settings_from(name: str, preset: str, folder: Path) -> dict[str, Any]:
 @functools.cache
 def _looks(name: str) -> dict[str, Any]:
     """Return size and duration of the frames of a simulator; some take seconds to be made."""
-    simulator = make_simulator(name)
+    simulator, checks = make_simulator(name), Checks(name)
     try:
-        height, width, _ = simulator.reset(0 if simulator.seeded else None).pixels.shape
+        first = checks.reset(simulator, 0 if simulator.seeded else None)
+        height, width, _ = first.pixels.shape
         return {'frame_height': height, 'frame_width': width,
-                'frame_seconds': simulator.frame_seconds}
+                'frame_seconds': checks.frame_seconds(simulator)}
     finally:
-        simulator.close()
+        checks.close(simulator)
 
 
 def _shrink(height: int, width: int) -> int:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import time
 from typing import Any
 
+from builtin_interfaces.msg import Time
 from carracing_dqn.teleop.hand import joined, Joystick
 from carracing_dqn.teleop.settings import HandSettings
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -13,14 +14,16 @@ from dqn_policy_node.command_stage import CommandStage
 from geometry_msgs.msg import Twist, TwistStamped
 from msgs_bridge import topics
 from msgs_bridge.node_shell import NodeShell
-from msgs_bridge.stamps import NANOSECONDS, set_stamp, to_nanoseconds
+from msgs_bridge.stamps import NANOSECONDS, to_nanoseconds
 from msgs_bridge.twists import Command, fill_twist
 from std_srvs.srv import SetBool
 
 # how often hands are looked at and an answer may be due; seconds
 BEAT_SECONDS = 0.005
-# a longer step between two stamps is a new episode, and not waited for
+# a longer step between two stamps is a new episode, and not waited for, seconds; unless the one
+# before was about as long: then frames last so long
 LONGEST_STEP = 0.5
+SAME_STEP = 1.5
 SILENCE_SECONDS = 2.0
 
 
@@ -39,9 +42,11 @@ class HandNode(NodeShell):
         self._stage = CommandStage(settings)
         self._enabled, self._connected = True, False
         # stamp of the image that waits for its answer, and when that is due on the wall
-        self._waiting: int | None = None
+        self._waiting: Time | None = None
         self._due = 0.0
         self._stamp: int | None = None
+        # seconds between the last two stamps
+        self._step = 0.0
         self._answered_at: float | None = None
         self._cmd_vel = self.publisher(
             topics.CMD_VEL,
@@ -78,12 +83,16 @@ class HandNode(NodeShell):
         before, self._stamp = self._stamp, stamp
         factor = self.settings.real_time_factor
         step = 0.0 if before is None else (stamp - before) / NANOSECONDS
-        if not factor or not 0 < step <= LONGEST_STEP or self._answered_at is None:
-            self._due = now
-        else:
+        usual = step <= LONGEST_STEP or step / SAME_STEP <= self._step <= step * SAME_STEP
+        answered = self._answered_at is not None and self._waiting is None
+        if factor and step > 0 and usual and answered:
             # from when the last was due, so that nothing adds up, unless it is late already
             self._due = max(self._due + step / factor, now - step / factor)
-        self._waiting = stamp
+        elif step:
+            # as well when the last was not waited for: time is somebody else's, and runs faster
+            self._due = now
+        self._step = step or self._step
+        self._waiting = message.header.stamp
         self._answer(now)
 
     def _on_joy(self, message: Any) -> None:
@@ -109,19 +118,20 @@ class HandNode(NodeShell):
         self._send(self._stage.twist(wanted, gap), self._waiting)
         self._waiting = None
 
-    def _send(self, command: Command, stamp: int) -> None:
+    def _send(self, command: Command, stamp: Time) -> None:
+        """Publish a command with the very stamp of the image, which may say no time there is."""
         if not self.settings.cmd_vel_stamped:
             self._cmd_vel.publish(fill_twist(Twist(), command))
             return
         message = TwistStamped()
-        set_stamp(message.header.stamp, stamp)
+        message.header.stamp = stamp
         fill_twist(message.twist, command)
         self._cmd_vel.publish(message)
 
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         self._enabled = request.data
         if not self._enabled:
-            self._send(self._stage.stop(), 0)
+            self._send(self._stage.stop(), Time())
         response.success = True
         response.message = 'enabled' if self._enabled else 'disabled'
         return response
@@ -145,4 +155,4 @@ class HandNode(NodeShell):
     def close(self) -> None:
         """Stop the car."""
         if self.context.ok() and self._answered_at is not None:
-            self._send(self._stage.stop(), 0)
+            self._send(self._stage.stop(), Time())

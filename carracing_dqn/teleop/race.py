@@ -3,6 +3,7 @@
 """What is known of a race, lap by lap, and the words for it."""
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping
 import dataclasses
 
@@ -57,11 +58,12 @@ class Race:
         self.step: Step | None = None
         self._first_stamp = self._stamp = 0
         self._first_episode: int | None = None
-        self._results: list[str] = []
+        self._results: deque[str] = deque(maxlen=MOST_RESULTS)
 
     def take(self, step: Step, stamp: int) -> None:
         """Take the next step, with its stamp in ns."""
-        if self._first_episode is None:
+        if self._first_episode is None or step.episode < self._first_episode:
+            # a simulator that was started again counts anew
             self._first_episode = step.episode
         if step.decision == 0:
             self._first_stamp = stamp
@@ -95,7 +97,7 @@ class Race:
         call = '' if self.started else (
             'end of the race' if step.ended and self.lap == self._laps else 'press gas to start')
         return View(f'lap {self.lap}{of}, track {step.seed}', tuple(self._rows(step)),
-                    tuple(self._results[-MOST_RESULTS:]), call)
+                    tuple(self._results), call)
 
     def _rows(self, step: Step) -> list[tuple[str, str, str]]:
         info, rival = step.info, self._rivals.get(step.seed)

@@ -100,7 +100,10 @@ class RaceNode(HandNode):
     def health(self) -> tuple[bytes, str, dict[str, object]]:
         """Return what drives and how far the lap is."""
         level, summary, values = super().health()
-        if self._race.step is not None and not self._race.started:
+        if self._race.step is None and self._pixels is not None:
+            level = DiagnosticStatus.WARN
+            summary = 'no lap can begin: images come, but no step'
+        elif self._race.step is not None and not self._race.started:
             level, summary = DiagnosticStatus.OK, f'lap {self._race.lap} waits for the driver'
         values.update(self._race.under_way, laps=self._race.lap, leaving=int(self._leaving))
         return level, summary, values

@@ -3,6 +3,7 @@
 """The window of a race, by pygame: the picture, figures beside it, keys and joysticks."""
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 
@@ -24,6 +25,8 @@ PANEL, LEAST_HEIGHT = 400, 400
 MARGIN, LINE = 20, 30
 COLUMNS = (0, 110, 240)
 BACKGROUND, TEXT, FAINT, BRIGHT = (24, 26, 30), (235, 235, 235), (150, 155, 165), (255, 214, 90)
+# most pixels a side that a picture takes in the window
+LARGEST = 4096
 # of a picture before the first one has come
 FIRST_SIZE = (96, 96)
 
@@ -74,7 +77,9 @@ class RaceWindow:
         pygame.display.set_caption(title)
 
     def _open(self, size: tuple[int, int]) -> None:
-        height, width = (side * self._scale for side in size)
+        # whoever publishes images says how large they are, up to 4096 a side
+        scale = min(self._scale, LARGEST / max(size))
+        height, width = (max(1, round(side * scale)) for side in size)
         self._size = size
         self._picture = pygame.Surface((size[1], size[0]))
         self._large_picture = pygame.Surface((width, height))
@@ -110,8 +115,10 @@ class RaceWindow:
             elif event.type in (pygame.WINDOWEXPOSED, pygame.WINDOWFOCUSGAINED):
                 self._shown = None
             elif event.type == pygame.JOYDEVICEADDED:
-                stick = pygame.joystick.Joystick(event.device_index)
-                self._sticks[stick.get_instance_id()] = stick
+                # it may have been pulled out again by now
+                with contextlib.suppress(pygame.error):
+                    stick = pygame.joystick.Joystick(event.device_index)
+                    self._sticks[stick.get_instance_id()] = stick
             elif event.type == pygame.JOYDEVICEREMOVED:
                 self._sticks.pop(event.instance_id, None)
         for stick in self._sticks.values():

@@ -6,11 +6,14 @@ from __future__ import annotations
 import bisect
 from collections.abc import Iterable
 import dataclasses
+import itertools
 import json
+import math
 from pathlib import Path
 
 from msgs_bridge.atomic_write import write_text
 from msgs_bridge.errors import SettingsError
+from msgs_bridge.plain_text import plain
 from msgs_bridge.regular_file import read_regular
 
 MAX_BYTES = 32 * 2**20
@@ -65,7 +68,16 @@ def read_rivals(path: Path | str) -> tuple[str, dict[int, Rival]]:
                   list(map(int, lap['tiles'])), bool(lap['finished'])) for lap in found['laps']]
         if not all(rival.returns and len(rival.returns) == len(rival.tiles) for rival in rivals):
             raise ValueError('returns and tiles of another length')
-        return str(found['name']), {rival.seed: rival for rival in rivals}
+        if not all(map(_goes_on, rivals)):
+            raise ValueError('returns that are no numbers, or tiles that fall')
+        return plain(found['name']), {rival.seed: rival for rival in rivals}
     except (ValueError, TypeError, KeyError, OverflowError, RecursionError) as error:
         raise SettingsError(
-            f'{path} holds no laps to race against: {type(error).__name__} {error}') from None
+            f'{path} holds no laps to race against: {type(error).__name__} {plain(error)}'
+        ) from None
+
+
+def _goes_on(rival: Rival) -> bool:
+    """Return whether a lap is one that can have been driven."""
+    return all(map(math.isfinite, rival.returns)) and all(
+        before <= after for before, after in itertools.pairwise(rival.tiles))
