@@ -10,6 +10,11 @@ import stat
 from msgs_bridge.errors import BridgeError
 
 
+def open_at_once(path: Path | str, flags: int) -> int:
+    """Return a handle for a file, made if need be; a FIFO in its place is not waited for."""
+    return os.open(path, flags | os.O_NONBLOCK | os.O_CLOEXEC, 0o666)
+
+
 def read_regular(path: Path | str, limit: int, error: type[BridgeError]) -> bytes:
     """
     Return the bytes of a file, of a regular one only: a FIFO or a device may never end.

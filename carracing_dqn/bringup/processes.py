@@ -17,10 +17,10 @@ from types import MappingProxyType
 from typing import Any
 
 from carracing_dqn.bringup.graph import Graph, RECORDER, SIMULATOR
-from carracing_dqn.evaluation.workers import open_at_once
 from msgs_bridge.errors import BridgeError
 from msgs_bridge.exit_codes import INTERRUPTED
 from msgs_bridge.plain_text import plain
+from msgs_bridge.regular_file import open_at_once
 
 LAST_WORDS = 12
 """Lines of output that are kept for the message about a child that died."""

@@ -3,7 +3,6 @@
 """Where policies come from: a model folder, the dummy agent, or anybody's own code."""
 from __future__ import annotations
 
-from collections.abc import Iterator
 import contextlib
 import dataclasses
 import importlib
@@ -11,12 +10,11 @@ import inspect
 import os
 from pathlib import Path
 import sys
-import traceback
 from typing import Any
 
 from carracing_dqn.evaluation.errors import PolicyError
 from dqn_policy_node.shipped_models import RANDOM
-from msgs_bridge.errors import BridgeError
+from msgs_bridge import blame
 from msgs_bridge.plain_text import plain
 from msgs_bridge.simulator import FRAME_SECONDS
 
@@ -25,19 +23,9 @@ MODEL = 'model'
 RUN_MODELS = ('best', 'final')
 
 
-@contextlib.contextmanager
-def _blamed(name: str, what: str) -> Iterator[None]:
-    """Let somebody's policy do something; raises PolicyError with the place where it fails."""
-    try:
-        yield
-    except BridgeError:
-        raise
-    except (Exception, SystemExit) as error:
-        # an exit would end the command with any code, 0 for one
-        place = traceback.extract_tb(error.__traceback__)[-1]
-        raise PolicyError(
-            f'policy {plain(name)!r} failed in {what}: {type(error).__name__}: {plain(error)} '
-            f'({Path(place.filename).name}, line {place.lineno})') from None
+def _blamed(name: str, what: str) -> contextlib.AbstractContextManager[None]:
+    """Let somebody's policy do something; what fails in it is a PolicyError."""
+    return blame.blamed(f'policy {plain(name)!r}', what, PolicyError)
 
 
 class Custom:

@@ -8,7 +8,6 @@ from concurrent.futures import as_completed, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 import multiprocessing
 import os
-from pathlib import Path
 import signal
 import sys
 import threading
@@ -92,11 +91,6 @@ def _work(make_worker: Callable[[], Callable[[Any], Any]], job: Any) -> Any:
         # as text: not every exception can be sent, and its traceback never is
         raise EvaluationError(
             f'a process that drove laps failed:\n{traceback.format_exc().rstrip()}') from None
-
-
-def open_at_once(path: Path | str, flags: int) -> int:
-    """Open the log of a process; what lies in its place, such as a FIFO, is not waited for."""
-    return os.open(path, flags | os.O_NONBLOCK | os.O_CLOEXEC, 0o666)
 
 
 def limit_torch_threads() -> None:

@@ -7,10 +7,9 @@ from collections.abc import Iterable, Iterator, Mapping
 import contextlib
 import math
 import operator
-from pathlib import Path
-import traceback
 from typing import Any
 
+from msgs_bridge import blame
 from msgs_bridge.errors import BridgeError, SimulatorError
 from msgs_bridge.images import MAX_SIDE
 from msgs_bridge.plain_text import plain
@@ -27,28 +26,9 @@ SHORTEST_FRAME, LONGEST_FRAME = 1e-6, 10.0
 MOST_VALUES = MAX_NAMES - len({**EPISODE_CORE, **STEP_CORE, **STEP_INFO})
 
 
-@contextlib.contextmanager
-def blamed(name: str, what: str) -> Iterator[None]:
-    """
-    Let a simulator do something; what it raises by accident becomes one line with the place.
-
-    Args:
-        name: of the simulator.
-        what: it does: the name of a method.
-
-    Raises:
-        SimulatorError: it raised an exception that is no BridgeError.
-    """
-    try:
-        yield
-    except BridgeError:
-        raise
-    except (Exception, SystemExit) as error:
-        # a library's exit would end the node with any code, 0 for one
-        place = traceback.extract_tb(error.__traceback__)[-1]
-        raise SimulatorError(
-            f'simulator {name[:100]!r} failed in {what}: {type(error).__name__}: {plain(error)} '
-            f'({Path(place.filename).name}, line {place.lineno})') from error
+def blamed(name: str, what: str) -> contextlib.AbstractContextManager[None]:
+    """Let the simulator of a name do something; what fails in it is a SimulatorError."""
+    return blame.blamed(f'simulator {name[:100]!r}', what, SimulatorError)
 
 
 @contextlib.contextmanager

@@ -18,13 +18,14 @@ import subprocess
 import sys
 import time
 
-from carracing_dqn.evaluation.workers import open_at_once, THREAD_VARIABLES
+from carracing_dqn.evaluation.workers import THREAD_VARIABLES
 from carracing_dqn.studies.one_run import PLAN
 from carracing_dqn.studies.study_file import PlannedRun, StudySettings
 from msgs_bridge.atomic_write import write_text
 from msgs_bridge.errors import BridgeError
 from msgs_bridge.exit_codes import INTERRUPTED
 from msgs_bridge.plain_text import plain
+from msgs_bridge.regular_file import open_at_once
 from trainer_node.hyperparameters import load_preset, to_yaml
 
 LOG = 'log.txt'
