@@ -22,6 +22,7 @@ from msgs_bridge.settings import setting
 from msgs_bridge.transport import arrival
 import pytest
 from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Image
 from shell_pair import Pair
@@ -36,7 +37,13 @@ class Settings:
     """Parameters of a made-up node."""
 
     run: str = setting('', 'name of a run')
-    rate: float = setting(1.0, 'how often', low=0.1, high=100.0)
+    rate: float = setting(1.0, 'how often', low=0.1, high=100.0, live=True)
+    most: float = setting(50.0, 'how often at most', low=0.1, high=100.0, live=True)
+
+    def __post_init__(self) -> None:
+        """Check what concerns more than one value; raises SettingsError."""
+        if self.rate > self.most:
+            raise SettingsError(f'rate is {self.rate:g}; accepted: up to most, {self.most:g}')
 
 
 class Listener(NodeShell):
@@ -352,6 +359,16 @@ def test_names_that_are_no_text_hide_no_more_than_themselves(pair):
         forger.kill()
         forger.wait()
         forger.stdout.close()
+
+
+def test_values_that_do_not_go_together_are_refused_at_run_time(pair):
+    node = pair.start(Listener)
+    refused, = node.set_parameters([Parameter('rate', value=60.0)])
+    assert not refused.successful and refused.reason == 'rate is 60; accepted: up to most, 50'
+    assert node.settings.rate == node.get_parameter('rate').value == 1.0
+    taken = node.set_parameters_atomically(
+        [Parameter('rate', value=60.0), Parameter('most', value=70.0)])
+    assert taken.successful and node.settings.rate == 60.0
 
 
 def test_a_publisher_that_is_gone_is_no_misfit():
