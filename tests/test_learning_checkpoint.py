@@ -216,7 +216,7 @@ def test_a_state_of_another_kind_is_refused_whatever_it_says(run):
     (('learning', 'random', 'state', 'state'), -1),
     (('learning', 'learner_random', 'state'), 'x'),
     (('selection', 'pending'), {}), (('selection', 'pending', 'x'), None),
-    (('selection', 'best'), {}), (('selection', 'last'), {}),
+    (('selection', 'best'), {'score': 1.0}), (('selection', 'last'), {'mean': 1.0}),
 ])
 def test_a_state_that_does_not_fit_is_refused(run, path, value):
     arrays, state = read_checkpoint(run.checkpoint)

@@ -165,7 +165,7 @@ def test_the_report_preset_names_every_number_that_it_could_change():
     unused = {'learning_rate_hold', 'epsilon_decisions', 'standing_growth', 'standing_limit',
               'tile_missed_limit', 'early_end_terminal', 'quantiles', 'tuner_step', 'tuner_least',
               'epsilon_spread', 'demonstrations', 'demonstration_weight', 'demonstration_margin',
-              'demonstration_updates', 'demonstration_share'}
+              'demonstration_updates', 'demonstration_share', 'flush_denormals'}
     assert set(describe(Hyperparameters)) - set(values) == unused
 
 
