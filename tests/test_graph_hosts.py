@@ -139,7 +139,9 @@ def test_two_hosts_learn_together_over_a_link_that_delays_loses_and_breaks(tmp_p
     missing = recorded.index(known[-1]) + 1 - len(known)
     counted = sum(int(said[0].get(f'transitions_{name}', 0)) for name in (
         'lost_image', 'lost_twist', 'lost_step', 'odd_step'))
-    assert (missing > 0) == (counted > 0)
+    assert not missing or counted
+    # the link may have brought no more of what came after the cut before the recorder ended
+    assert not counted or len(recorded) > len(known)
     # of what the car no longer held when the link was back, whole episodes are unknown
     assert missing <= 2 * counted or missing > STALL_DEPTH
     assert training.learning.sources['/car_1'].decisions > 40
