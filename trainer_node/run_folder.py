@@ -8,7 +8,6 @@ The folder of a run: what lies where.
 from __future__ import annotations
 
 from datetime import datetime, timezone
-import fcntl
 import json
 import os
 from pathlib import Path
@@ -16,6 +15,7 @@ import tempfile
 from typing import Any
 
 from msgs_bridge.atomic_write import remove_leftovers, write_text
+from msgs_bridge.file_lock import lock
 from msgs_bridge.regular_file import read_regular
 from trainer_node.errors import RunError
 
@@ -98,16 +98,10 @@ class RunFolder:
         if place in _locked:
             os.close(handle)
             return
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
+        if lock(handle, RunError(f'{self.path}: another process learns into it')):
+            _locked[place] = handle
+        else:
             os.close(handle)
-            raise RunError(f'{self.path}: another process learns into it') from None
-        except OSError:
-            # a file system without locks
-            os.close(handle)
-            return
-        _locked[place] = handle
 
     def unlock(self) -> None:
         """Let other processes learn into the folder."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 import contextlib
-import fcntl
 import os
 from pathlib import Path
 import resource
@@ -16,6 +15,7 @@ from carracing_dqn.bringup.graph import Graph
 from carracing_dqn.bringup.monitor import Monitor
 from carracing_dqn.bringup.processes import ProcessGroup
 from msgs_bridge.errors import BridgeError
+from msgs_bridge.file_lock import lock
 from msgs_bridge.private_folder import make_temporary
 
 LOOK_SECONDS = 0.1
@@ -95,16 +95,10 @@ def _take_place(space: str) -> None:
         handle = os.open(place, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
     except OSError:
         return
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
+    if lock(handle, BridgeError(RUNS_ALREADY)):
+        _taken[place] = handle
+    else:
         os.close(handle)
-        raise BridgeError(RUNS_ALREADY) from None
-    except OSError:
-        # a file system without locks
-        os.close(handle)
-        return
-    _taken[place] = handle
 
 
 def _leave_places() -> None:

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 import contextlib
 import csv
 import dataclasses
-import fcntl
 import io
 import json
 import os
@@ -19,6 +18,7 @@ from carracing_dqn.evaluation.laps import Lap
 from carracing_dqn.evaluation.policies import MODEL
 from carracing_dqn.evaluation.statistics import Statistics, statistics_of
 from msgs_bridge.atomic_write import write_text
+from msgs_bridge.file_lock import lock
 from msgs_bridge.regular_file import read_regular
 
 FORMAT = 'carracing_dqn evaluation 1'
@@ -182,13 +182,7 @@ def locked(path: Path | str) -> Iterator[None]:
     while True:
         handle = os.open(
             place, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK, 0o644)
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            os.close(handle)
-            raise ResultsError(f'{path}: another process writes its laps there') from None
-        except OSError:
-            # a file system without locks
+        if not lock(handle, ResultsError(f'{path}: another process writes its laps there')):
             break
         with contextlib.suppress(FileNotFoundError):
             if os.path.samestat(os.fstat(handle), os.stat(place)):
