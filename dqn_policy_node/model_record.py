@@ -11,6 +11,7 @@ from typing import Any
 from dqn_policy_node.errors import ModelError
 from dqn_policy_node.model_description import json_sha256, ModelDescription
 from msgs_bridge.regular_file import read_regular
+from msgs_bridge.step import MAX_WHOLE
 
 WEIGHTS_FILE = 'weights.safetensors'
 MODEL_FILE = 'model.json'
@@ -18,8 +19,6 @@ FORMAT = 'carracing_dqn model 2'
 # of version 0.1: the description has another form
 READABLE = ('carracing_dqn model 1', FORMAT)
 MAX_MODEL_FILE_BYTES = 4 * 2**20
-# of weights; it goes out as a float64
-MAX_VERSION = 2**53
 # of an error about what a file says, so that it stays a line
 MAX_TEXT = 200
 
@@ -82,8 +81,8 @@ def read_model_record(folder: Path | str) -> ModelRecord:
         training, version = record['training'], record['version']
         if not isinstance(training, dict) or type(version) is not int or version < 0:
             raise ModelError('training or version is of the wrong type')
-        if version > MAX_VERSION:
-            raise ModelError(f'version has more than {len(str(MAX_VERSION))} digits')
+        if version > MAX_WHOLE:
+            raise ModelError(f'version has more than {len(str(MAX_WHOLE))} digits')
         if record['description_sha256'] != json_sha256(record['description']):
             raise ModelError('description does not match its hash')
     except ModelError as error:

@@ -15,13 +15,12 @@ import sys
 import types
 from typing import Annotated, Any, get_args, get_origin, get_type_hints, TypeVar, Union
 
+from msgs_bridge.step import MAX_WHOLE
 from trainer_node.errors import RunError
 
 Kind = TypeVar('Kind')
 Seconds = Annotated[float, 'seconds']
 Stamp = Annotated[int, 'ns']
-# a float64 holds every whole number up to here, and no run counts further
-MAX_COUNT = 2**53
 # the seconds of a stamp are an int32, its nanoseconds a uint32, and nobody refuses odd ones
 MAX_STAMP = 2**31 * 10**9 + 2**32
 
@@ -68,7 +67,7 @@ def _checked(hint: Any, value: Any, path: str) -> Any:
         if inner is Any:
             return value
         return {name: _checked(inner, each, f'{path}.{name}') for name, each in value.items()}
-    if hint is int and type(value) is int and 0 <= value <= MAX_COUNT:
+    if hint is int and type(value) is int and 0 <= value <= MAX_WHOLE:
         return value
     if hint == Stamp and type(value) is int and abs(value) <= MAX_STAMP:
         return value
