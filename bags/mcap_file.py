@@ -3,8 +3,8 @@
 """
 One MCAP file, read with bounds: nothing is believed that the file says of its own sizes.
 
-The file is mapped into memory to find its way about in it. Messages are read, chunk by chunk: who
-reads a map of a file that somebody cuts short meanwhile is killed.
+It is read and never mapped into memory: who reads a map of a file that somebody cuts short
+meanwhile is killed.
 """
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from collections.abc import Container, Iterator, Sequence
 import contextlib
 import dataclasses
 import heapq
-import mmap
 import os
 from pathlib import Path
 import resource
@@ -28,13 +27,17 @@ import numpy as np
 from bags.compression import unpack
 from bags.errors import BagError
 from bags.mcap_records import (
-    CHUNK, HEAD, MAGIC, MAX_CHUNK, MESSAGE, MESSAGE_HEAD, parse_record, PROFILE,
+    CHUNK, HEAD, MAGIC, MAX_CHUNK, MAX_RECORD, MESSAGE, MESSAGE_HEAD, parse_record, PROFILE,
 )
 
 # Chunks that overlap in time are merged; more than this unpacked at once is refused.
 MAX_UNPACKED = 1 << 30
 # Messages outside chunks (rosbag2's preset `fastwrite`) are read in stretches of this many bytes.
 STRETCH_BYTES = 4 << 20
+# read at once on the way from record to record: a page, for what lies in a chunk is not needed
+WINDOW_BYTES = 4096
+# the longest name of a compression
+MAX_NAME = 16
 ENCODING = 'cdr'
 
 # op codes of the specification, and those it leaves to applications; in a damaged file any other
@@ -152,18 +155,15 @@ class McapFile:
         self.damage: list[str] = []
         self.private = 0
         self._plain: list[int] = []
-        self._map: mmap.mmap | None = None
+        self._window_start, self._window = 0, b''
         try:
             # opening a FIFO would wait for somebody to write into it
             if not stat.S_ISREG(self.path.stat().st_mode):
                 raise BagError(f'{path} is not a regular file')
             self._file = self.path.open('rb', buffering=0)
             self.size = self._file.seek(0, 2)
-            if self.size:
-                self._map = mmap.mmap(self._file.fileno(), 0, access=mmap.ACCESS_READ)
         except OSError as error:
             raise BagError(f'{path}: {error.strerror}') from None
-        self._view = memoryview(self._map or b'')
         try:
             self._scan(strict)
             if strict and not self.complete:
@@ -176,13 +176,6 @@ class McapFile:
     def close(self) -> None:
         """Let go of the file."""
         self._file.close()
-        self._view.release()
-        if self._map is not None:
-            try:
-                self._map.close()
-            except BufferError:
-                # a view is still in use; the map goes when the last one does
-                self._map = None
 
     def __enter__(self) -> McapFile:
         return self
@@ -190,9 +183,20 @@ class McapFile:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def raw(self, start: int, stop: int) -> memoryview:
-        """Return bytes of the map, for who looks through all of it."""
-        return self._view[start:stop]
+    def peek(self, start: int, stop: int) -> bytes:
+        """
+        Return a few bytes of the file, read together with those behind them.
+
+        Raises:
+            BagError: as `read`.
+        """
+        if stop - start > WINDOW_BYTES:
+            return self.read(start, stop)
+        place = start - self._window_start
+        if place < 0 or place + stop - start > len(self._window):
+            self._window = self.read(start, max(stop, min(start + WINDOW_BYTES, self.size)))
+            self._window_start, place = start, 0
+        return self._window[place:place + stop - start]
 
     def read(self, start: int, stop: int) -> bytes:
         """
@@ -337,7 +341,7 @@ class McapFile:
 
     def _scan(self, strict: bool) -> None:
         """Go through the records of the file and note where messages lie."""
-        if strict and (self.size < len(MAGIC) or self._view[:len(MAGIC)] != MAGIC):
+        if strict and (self.size < len(MAGIC) or self.read(0, len(MAGIC)) != MAGIC):
             raise BagError(f'{self.path} is not an MCAP file')
         self.whole_until = self._walk(len(MAGIC), strict=strict)
 
@@ -348,12 +352,12 @@ class McapFile:
         Raises:
             BagError: a damaged record (if strict), or a file of another kind.
         """
-        view, begin = self._view, position
+        begin = position
         while True:
             if position + HEAD.size > self.size:
                 self.problem = f'it ends at byte {self.size} within a record'
                 break
-            opcode, length = HEAD.unpack_from(view, position)
+            opcode, length = HEAD.unpack(self.peek(position, position + HEAD.size))
             start = position + HEAD.size
             if start + length > self.size:
                 self.problem = (f'the record at byte {position} needs {length} bytes, '
@@ -366,7 +370,7 @@ class McapFile:
                 break
             try:
                 if position == len(MAGIC):
-                    self._check_header(opcode, view[start:start + length])
+                    self._check_header(opcode, self._content(start, length))
                 self._take(opcode, position, start, length)
             except BagError as error:
                 if strict:
@@ -374,7 +378,8 @@ class McapFile:
                 self.damage.append(str(error))
             position = start + length
             if opcode == Opcode.FOOTER:
-                self.complete = view[position:position + len(MAGIC)] == MAGIC
+                end = min(position + len(MAGIC), self.size)
+                self.complete = self.peek(position, end) == MAGIC
                 self.problem = '' if self.complete else 'it has no end mark'
                 position += len(MAGIC)
                 break
@@ -385,7 +390,6 @@ class McapFile:
 
     def _take(self, opcode: int, position: int, start: int, length: int) -> None:
         """Take what is worth knowing of one record."""
-        content = self._view[start:start + length]
         if opcode == Opcode.MESSAGE:
             self._extend_plain(position, start, length)
             return
@@ -393,19 +397,25 @@ class McapFile:
         if opcode == Opcode.CHUNK:
             self.spans.append(self.read_chunk(start, start + length))
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            self._learn(opcode, content)
+            self._learn(opcode, self._content(start, length))
         elif opcode == Opcode.METADATA:
-            record = self._parse(opcode, content)
+            record = self._parse(opcode, self._content(start, length))
             self.metadata[record.name] = record.metadata
         elif opcode == Opcode.STATISTICS:
-            self.counts = dict(self._parse(opcode, content).channel_message_counts)
+            record = self._parse(opcode, self._content(start, length))
+            self.counts = dict(record.channel_message_counts)
         elif opcode == Opcode.DATA_END:
-            self.data_end = (position, self._parse(opcode, content).data_section_crc)
+            record = self._parse(opcode, self._content(start, length))
+            self.data_end = (position, record.data_section_crc)
             self.summary = (start + length, 0)
         elif opcode == Opcode.FOOTER:
             self.summary = (self.summary[0], start + length)
 
-    def _check_header(self, opcode: int, content: memoryview) -> None:
+    def _content(self, start: int, length: int) -> bytes:
+        """Return the content of a record, or as much of it as is too much for one."""
+        return self.peek(start, start + min(length, MAX_RECORD + 1))
+
+    def _check_header(self, opcode: int, content: bytes) -> None:
         if opcode != Opcode.HEADER:
             raise BagError(f'{self.path} does not begin with a header')
         header = self._parse(opcode, content)
@@ -420,30 +430,29 @@ class McapFile:
         Raises:
             BagError: there is none that can be one.
         """
-        view = self._view
         if end - start < CHUNK.size + 12:
             raise BagError(f'{self.path} at byte {start}: a chunk of {end - start} bytes')
-        first, last, size, crc = CHUNK.unpack_from(view, start)
-        position = start + CHUNK.size
-        name_size = int.from_bytes(view[position:position + 4], 'little')
-        position += 4
-        data = position + name_size + 8
-        if name_size > 16 or data > end:
+        name = CHUNK.size + 4
+        head = self.peek(start, min(start + name + MAX_NAME + 8, end))
+        first, last, size, crc = CHUNK.unpack_from(head)
+        name_end = name + int.from_bytes(head[CHUNK.size:name], 'little')
+        data = start + name_end + 8
+        if name_end - name > MAX_NAME or data > end:
             raise BagError(f'{self.path} at byte {start}: the chunk is damaged')
-        packed = int.from_bytes(view[data - 8:data], 'little')
+        packed = int.from_bytes(head[name_end:name_end + 8], 'little')
         if data + packed > end:
             raise BagError(f'{self.path} at byte {start}: the chunk is damaged')
         if size > MAX_CHUNK:
             raise BagError(f'{self.path} at byte {start}: chunk says it unpacks to {size} bytes; '
                            f'accepted: {MAX_CHUNK}')
-        compression = bytes(view[position:position + name_size]).decode('ascii', 'replace')
+        compression = head[name:name_end].decode('ascii', 'replace')
         return Span(data, packed, first, last, compression, size, crc, start - HEAD.size)
 
     def _extend_plain(self, position: int, start: int, length: int) -> None:
         """Add a message outside chunks to the present stretch: [start, end, first, last]."""
         if length < MESSAGE.size:
             raise BagError(f'{self.path} at byte {position}: a message of {length} bytes')
-        log_time = MESSAGE.unpack_from(self._view, start)[2]
+        log_time = MESSAGE.unpack(self.peek(start, start + MESSAGE.size))[2]
         if self._plain and start + length - self._plain[0] > STRETCH_BYTES:
             self._add_plain()
         if not self._plain:
@@ -459,12 +468,12 @@ class McapFile:
             self.spans.append(Span(start, end - start, first, last, '', end - start, 0, start))
             self._plain = []
 
-    def _learn(self, opcode: int, content: memoryview) -> None:
+    def _learn(self, opcode: int, content: bytes | memoryview) -> None:
         known = self.schemas if opcode == Opcode.SCHEMA else self.channels
         record = self._parse(opcode, content)
         known[record.id] = record
 
-    def _parse(self, opcode: int, content: memoryview) -> object:
+    def _parse(self, opcode: int, content: bytes | memoryview) -> object:
         try:
             return parse_record(opcode, content)
         except BagError as error:
@@ -476,8 +485,6 @@ class McapFile:
 
 def make_room(files: int) -> None:
     """Let the process have so many files open, as far as it may."""
-    # a map has one of its own
-    files *= 2
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     # a few files need no more than there is
     if files > soft // 2:

@@ -12,7 +12,9 @@ from mcap.records import ChunkIndex
 
 from bags.errors import BagError
 from bags.mcap_file import McapFile, Span
-from bags.mcap_records import CHUNK, HEAD, MAX_CHUNK, MESSAGE, parse_record, record_bytes
+from bags.mcap_records import (
+    CHUNK, HEAD, MAX_CHUNK, MAX_RECORD, MESSAGE, parse_record, record_bytes,
+)
 
 # how a chunk of less than 4 GiB begins, up to the name of its compression
 CHUNK_BEGINS = re.compile(
@@ -21,6 +23,9 @@ CHUNK_BEGINS = re.compile(
 SMALL_RECORD_BEGINS = re.compile(rb'[\x03\x04\x08\x0c].{3}\x00{5}', re.DOTALL)
 # how a message outside chunks begins, as rosbag2's preset `fastwrite` writes them
 MESSAGE_BEGINS = re.compile(rb'\x05.{4}\x00{4}', re.DOTALL)
+# looked through at once, and more than any of these is long
+BLOCK_BYTES = 16 << 20
+LONGEST = 64
 # so many records one behind the other are no accident
 CHAIN = 3
 # what stands between messages outside chunks
@@ -76,6 +81,7 @@ class _Salvage:
                         if span.record != span.offset and _is_whole(file, span)}
         self._known = set(map(self._content, self._chunks.values()))
         self._indices: list[ChunkIndex] = []
+        self._block_start, self._block = 0, b''
 
     def places(self) -> list[Place]:
         """Add what is whole; return where it lies."""
@@ -100,10 +106,25 @@ class _Salvage:
         self._effort -= cost
         return self._effort > 0
 
+    def _search(self, pattern: re.Pattern[bytes], start: int, stop: int) -> int | None:
+        """Return where a pattern is found next, and all of it before a byte."""
+        while start < stop:
+            end = self._block_start + len(self._block)
+            if not self._block_start <= start <= end - (LONGEST if end < self._file.size else 0):
+                self._block_start = start
+                self._block = self._file.read(start, min(start + BLOCK_BYTES, self._file.size))
+                end = start + len(self._block)
+            match = pattern.search(
+                self._block, start - self._block_start, min(stop, end) - self._block_start)
+            if match:
+                return self._block_start + match.start()
+            # what begins at the end of a block may go on in the next
+            start = stop if end >= stop else end - LONGEST + 1
+        return None
+
     def _find_chunks(self) -> list[Place]:
         file, found, position = self._file, [], 0
-        while match := CHUNK_BEGINS.search(file.raw(0, file.size), position):
-            start = match.start()
+        while (start := self._search(CHUNK_BEGINS, position, file.size)) is not None:
             span = self._chunks.get(start)
             if span is None and self._effort > 0:
                 try:
@@ -128,21 +149,22 @@ class _Salvage:
     def _content(self, span: Span) -> tuple[int, ...]:
         """Return what two chunks have in common only if they are the same."""
         # without a CRC of what is unpacked, that of what is packed tells as much
-        crc = span.crc or zlib.crc32(self._file.raw(span.offset, _end(span)))
+        crc = span.crc or zlib.crc32(self._file.read(span.offset, _end(span)))
         return span.start_time, span.end_time, crc, span.unpacked_size
 
     def _find_small_records(self, gaps: list[Place]) -> list[Place]:
         file, found = self._file, []
         for low, high in gaps:
-            for match in SMALL_RECORD_BEGINS.finditer(file.raw(0, file.size), low, high):
-                head = match.start()
-                opcode, length = HEAD.unpack(file.raw(head, head + HEAD.size))
+            position = low
+            while (head := self._search(SMALL_RECORD_BEGINS, position, high)) is not None:
+                position = head + 1
+                opcode, length = HEAD.unpack(file.peek(head, head + HEAD.size))
                 end = head + HEAD.size + length
-                if end > file.size:
+                if end > file.size or length > MAX_RECORD:
                     continue
                 if not self._worth(length):
                     return found
-                content = file.raw(head + HEAD.size, end)
+                content = file.peek(head + HEAD.size, end)
                 try:
                     record = parse_record(opcode, content)
                     if bytes(record_bytes(record))[HEAD.size:] != content:
@@ -170,7 +192,8 @@ class _Salvage:
                     or not self._worth(index.compressed_size + index.uncompressed_size)):
                 continue
             # the CRC stands in the head; where that is damaged too nothing tells what is whole
-            crc = CHUNK.unpack_from(file.raw(start, offset), HEAD.size)[3]
+            crc = CHUNK.unpack(
+                file.peek(start + HEAD.size, start + HEAD.size + CHUNK.size))[3]
             span = Span(offset, index.compressed_size, index.message_start_time,
                         index.message_end_time, index.compression, index.uncompressed_size, crc,
                         start)
@@ -181,9 +204,8 @@ class _Salvage:
     def _find_messages(self, gaps: list[Place]) -> list[Place]:
         found = []
         for low, high in gaps:
-            position, data = low, self._file.raw(low, high)
-            while match := MESSAGE_BEGINS.search(data, position - low):
-                start = low + match.start()
+            position = low
+            while (start := self._search(MESSAGE_BEGINS, position, high)) is not None:
                 span = self._chain(start, high)
                 position = start + 1 if span is None else _end(span)
                 if span is not None:
@@ -195,7 +217,7 @@ class _Salvage:
         """Return the messages that follow each other from a byte on, if they are enough."""
         position, times, records = start, [], 0
         while position + HEAD.size <= stop:
-            opcode, length = HEAD.unpack(self._file.raw(position, position + HEAD.size))
+            opcode, length = HEAD.unpack(self._file.peek(position, position + HEAD.size))
             end = position + HEAD.size + length
             if end > stop or opcode not in CHAINED:
                 break
@@ -203,7 +225,7 @@ class _Salvage:
                 if length < MESSAGE.size or not self._worth(HEAD.size):
                     break
                 channel, _, log_time, _ = MESSAGE.unpack(
-                    self._file.raw(position + HEAD.size, position + HEAD.size + MESSAGE.size))
+                    self._file.peek(position + HEAD.size, position + HEAD.size + MESSAGE.size))
                 if channel not in self._file.channels:
                     break
                 times.append(log_time)

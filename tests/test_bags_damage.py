@@ -20,6 +20,7 @@ from bags.metadata import metadata_from_text, read_metadata
 from bags.qos_text import offered_qos
 from bags.reader import BagReader
 from bags.recover import recover_bag
+from bags.salvage import BLOCK_BYTES
 from bags.verify import verify_bag
 from bags.writer import BagWriter, MOST_TOPICS
 from hypothesis import given, HealthCheck, settings, strategies
@@ -480,9 +481,9 @@ def ranges(data, place, length, how, random):
 @settings(deadline=None, max_examples=60)
 @given(place=strategies.floats(0, 1), length=strategies.integers(1, 3000),
        how=strategies.sampled_from(['deleted', 'inserted', 'duplicated', 'swapped', 'zeroed']),
-       seed=strategies.integers(0, 1000))
+       seed=strategies.integers(0, 1000), block=strategies.sampled_from([80, 700, BLOCK_BYTES]))
 def test_recovery_goes_on_behind_damage_and_keeps_every_chunk_that_is_whole(
-    small, tmp_path_factory, place, length, how, seed,
+    small, tmp_path_factory, place, length, how, seed, block,
 ):
     folder, data, written = small
     damaged = ranges(data, place, length, how, np.random.default_rng(seed))
@@ -495,7 +496,10 @@ def test_recovery_goes_on_behind_damage_and_keeps_every_chunk_that_is_whole(
             if data[span.record:span.offset + span.length] in damaged]
     expected = {(names[one.channel], one.log_time) for one in kept}
     try:
-        recover_bag(root / 'damaged.mcap', root / 'saved')
+        # what is looked for may lie across two blocks
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr('bags.salvage.BLOCK_BYTES', block)
+            recover_bag(root / 'damaged.mcap', root / 'saved')
     except BagError:
         assert not expected
         return
@@ -783,6 +787,21 @@ def test_a_topic_of_two_encodings_is_no_topic(tmp_path):
     (tmp_path / 'bag' / 'metadata.yaml').unlink()
     with pytest.raises(BagError, match='is encoded as json and as cdr'):
         BagReader(tmp_path / 'bag', strict=False)
+
+
+@pytest.mark.parametrize('strict', [True, False])
+def test_a_file_that_is_cut_short_while_it_is_opened_is_said(small, tmp_path, monkeypatch, strict):
+    path = tmp_path / 'cut.mcap'
+    path.write_bytes(small[1])
+    scan = McapFile._scan
+
+    def scan_what_was_cut(file, strict):
+        path.write_bytes(b'')
+        scan(file, strict)
+
+    monkeypatch.setattr(McapFile, '_scan', scan_what_was_cut)
+    with pytest.raises(BagError, match='was cut short meanwhile'):
+        McapFile(path, strict=strict)
 
 
 @pytest.mark.parametrize('change', ["b''", 'data[:-3000]', 'data[::-1]'])
