@@ -76,14 +76,14 @@ def improvement(scores: np.ndarray, others: np.ndarray) -> Estimate:
         scores: float (runs, tracks).
         others: float (runs, tracks), of the same tracks.
     """
-    first, second = scores[:, None, :], others[None, :, :]
-    wins = (np.greater(first, second) + 0.5 * np.equal(first, second)).mean(axis=2)
+    wins = np.array([(np.greater(one, others) + 0.5 * np.equal(one, others)).mean(axis=1)
+                     for one in scores])
     if min(wins.shape) < 2:
         return Estimate(float(wins.mean()))
     random = np.random.default_rng(_SEED)
-    rows = random.integers(wins.shape[0], size=(RESAMPLES, wins.shape[0]))
-    columns = random.integers(wins.shape[1], size=(RESAMPLES, wins.shape[1]))
-    values = wins[rows[:, :, None], columns[:, None, :]].mean(axis=(1, 2))
+    # how often each run is drawn weighs what it won: hundreds of runs squared are not kept
+    rows, columns = (_times_drawn(random, runs) for runs in wins.shape)
+    values = (rows @ wins * columns).sum(axis=1) / wins.size
     return Estimate(float(wins.mean()), *_interval(values))
 
 
@@ -111,6 +111,12 @@ def permutation_p(scores: np.ndarray, others: np.ndarray) -> float:
     differences = np.abs(sums / chosen - (means.sum() - sums) / (count - chosen))
     seen = abs(means[:chosen].mean() - means[chosen:].mean())
     return float(np.mean(differences >= seen - 1e-9))
+
+
+def _times_drawn(random: np.random.Generator, runs: int) -> np.ndarray:
+    """Return how often each run is in each resample: int (resamples, runs)."""
+    drawn = random.integers(runs, size=(RESAMPLES, runs)) + runs * np.arange(RESAMPLES)[:, None]
+    return np.bincount(drawn.ravel(), minlength=drawn.size).reshape(drawn.shape)
 
 
 def _interval(values: np.ndarray) -> tuple[float, float]:
