@@ -9,6 +9,7 @@ from bags.transitions import bag_transitions
 from carracing_dqn.bringup.graph import (
     car_graph, learner_graph, NodeSpec, RECORDER, TRAINER,
 )
+from carracing_dqn.simulation.profiles import find_profile
 from dqn_policy_node.action_space import DUMMY_SPACE
 from dqn_policy_node.preprocessing import Preprocessor
 from graph_probe import Graph, kill, wait_for
@@ -216,13 +217,22 @@ def test_what_cannot_be_a_source_is_one_line_and_leaves_nothing(cars):
 
 def test_a_car_that_joined_says_that_its_trainer_has_gone_and_ends(cars):
     graph = cars
+    # each host has a copy of the profile somewhere
+    profile = find_profile('carracing')
+    (graph.log_folder / 'elsewhere').mkdir(parents=True)
+    copies = [folder / 'my_car.yaml'
+              for folder in (graph.run.parent, graph.log_folder / 'elsewhere')]
+    for copy in copies:
+        copy.write_text(f'{profile.read_text()}simulator: carracing\n')
+    graph.preset.write_text(yaml.safe_dump({**MANY, 'simulator': str(copies[0])}))
     trainer, _ = learner_graph(graph.settings, cars=1, trainer={
         'run': str(graph.run), 'preset': str(graph.preset), 'last_validation_seconds': 0.0})
     graph.start_graph((trainer,), graph.namespace, '.')
     wait_for(lambda: graph.children['trainer'].said('learning into'), 60, 'the trainer')
     car = graph.start('joined', [
         sys.executable, '-m', 'carracing_dqn.bringup', 'drive', '--join', '--wait', '12',
-        '--namespace', graph.namespace, '--output', str(graph.log_folder / 'car')])
+        '--simulator', str(copies[1]), '--namespace', graph.namespace,
+        '--output', str(graph.log_folder / 'car')])
     graph.spin_until(lambda: learned(graph, 0) > 20, 120, 'a car that joined')
     graph.children['trainer'].asked = True
     graph.children['trainer'].signal(signal.SIGTERM)

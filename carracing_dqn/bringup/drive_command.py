@@ -60,7 +60,8 @@ def main(arguments: argparse.Namespace) -> int:
     find_simulator(arguments.simulator)
     check_machine()
     trainer = find_trainer(namespace, arguments.wait)
-    if trainer.simulator != arguments.simulator:
+    # a profile is another path from each place, and its values cannot be seen from here
+    if Path(trainer.simulator).name != Path(arguments.simulator).name:
         raise BridgeError(f'the trainer learns in {trainer.simulator!r}; start this car with '
                           f'--simulator {shlex.quote(trainer.simulator)}')
     car = free_car(trainer.taken) if arguments.car is None else arguments.car
