@@ -16,6 +16,7 @@ from array import array
 from collections import Counter
 from collections.abc import Callable, Sequence
 import copy
+import math
 import time
 from typing import Any
 
@@ -24,7 +25,6 @@ from msgs_bridge.matching import (
     common_request, publishers_of, type_name_of, unheard_publishers,
 )
 from msgs_bridge.plain_text import plain
-from msgs_bridge.silence import Silence
 from msgs_bridge.transport.arrival import Bell
 from rclpy.callback_groups import CallbackGroup
 from rclpy.event_handler import (
@@ -49,6 +49,9 @@ OVERRIDE_ERRORS = (InvalidQosOverridesError, ParameterException, InvalidParamete
 # After losses and so much silence a reader may have gone deaf. It need not have, and then a new
 # one costs what arrives within milliseconds; so it is tried once after each loss.
 DEAF_SECONDS = 1.0
+# Of a stream, after which it is made anew although nothing was lost; each time in a silence that
+# goes on, as in a pause, after twice as long.
+SILENT_SECONDS, MOST_SILENT_SECONDS = 2.0, 60.0
 # what may wait in the middleware; 2,000 images of 96x96 are 55 MB
 QUEUE_BYTES = 64 << 20
 LEAST_DEPTH = 2
@@ -115,9 +118,10 @@ class AdaptiveSubscription:
         self._message_class, self._type_name = message_class, type_name_of(message_class)
         self._deliver = callback
         self._group, self._newest, self._bell = group, newest, bell
-        self._resized_at = time.monotonic()
+        self._heard_at = self._resized_at = time.monotonic()
         self._lost_since_made = 0
-        self._stream, self._silence = stream, Silence()
+        # seconds of silence after which a stream that was heard is made anew
+        self._stream, self._patience = stream, math.inf
         self._largest = 0
         set_by_user = {
             kind for kind in OVERRIDES.policy_kinds
@@ -169,14 +173,14 @@ class AdaptiveSubscription:
         self.unheard = unheard_publishers(publishers, self._type_name, self.qos)
         if self._resizes:
             self._fit_sizes()
-        if not publishers:
-            return
-        if self._lost_since_made and self._silence.seconds > DEAF_SECONDS:
+        silent = time.monotonic() - self._heard_at
+        if self._lost_since_made and silent > DEAF_SECONDS and publishers:
             self.counts['deaf'] += 1
             self._make_anew()
-        elif self._stream and self._silence.too_long():
+        elif silent > self._patience and publishers:
             self.counts['renewed'] += 1
             self._make_anew()
+            self._patience = min(2 * self._patience, MOST_SILENT_SECONDS)
 
     def _receive(self, message: Any) -> None:
         """Deliver a message, or the newest one that waits behind it."""
@@ -188,7 +192,9 @@ class AdaptiveSubscription:
                     break
                 message = newer
                 self.counts['skipped'] += 1
-        self._silence.end()
+        self._heard_at = time.monotonic()
+        if self._stream:
+            self._patience = SILENT_SECONDS
         data = getattr(message, 'data', None)
         if type(data) is array and len(data) > self._largest:
             self._largest = len(data) * data.itemsize
@@ -230,7 +236,7 @@ class AdaptiveSubscription:
 
     def _make_anew(self) -> None:
         self._lost_since_made = 0
-        self._silence.begin_anew()
+        self._heard_at = time.monotonic()
         # DDS refuses a second reader of the topic with another type support, so the old one first
         self._destroy(self.subscription)
         self.subscription = self._make()

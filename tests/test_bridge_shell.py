@@ -12,7 +12,7 @@ from types import SimpleNamespace
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import Twist
-from msgs_bridge import silence, topics
+from msgs_bridge import adaptive_subscription, topics
 from msgs_bridge.errors import SettingsError
 from msgs_bridge.matching import (
     as_known, NamesHidden, nodes_of, publishers_of, services_of, topics_of,
@@ -224,7 +224,7 @@ def test_a_reader_is_made_anew_when_nothing_comes_after_a_flood(pair):
 @pytest.mark.parametrize('kind', [Poller, Eager])
 def test_a_stream_that_falls_silent_is_subscribed_anew_and_more_and_more_seldom(
         pair, monkeypatch, kind):
-    monkeypatch.setattr(silence, 'SILENT_SECONDS', 0.5)
+    monkeypatch.setattr(adaptive_subscription, 'SILENT_SECONDS', 0.5)
     node = pair.start(kind)
     camera = pair.offer(Image, 'image_raw')
     images = node.images
