@@ -118,6 +118,7 @@ class Resimulator:
         self._stream_at: int | None = None
         self._may_pass_over = MAX_STREAM
         self._driving: int | None = None
+        self._decision = 0
         self._steps = 0
         self._return = 0.0
         self._parted = False
@@ -154,7 +155,11 @@ class Resimulator:
             self._skip(number, self._cannot)
         elif begins:
             self._begin(frame, number)
+        elif number == self._driving and frame.step.decision > self._decision + 1:
+            # what was applied meanwhile is not known
+            self._skip(number, 'steps of it are missing')
         elif number == self._driving:
+            self._decision = frame.step.decision
             self._advance(frame)
         else:
             self._skip(number, 'begun before the recording')
@@ -189,7 +194,7 @@ class Resimulator:
                                    'be passed over')
                 return
         self._driving = number
-        self._steps = 0
+        self._decision = self._steps = 0
         self._return = 0.0
         self.result.episodes += 1
         self._compare(frame, outcome._replace(reward=0.0, terminated=False, truncated=False))

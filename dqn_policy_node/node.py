@@ -74,7 +74,7 @@ class DqnPolicyNode(NodeShell):
         self._q_values = self.publisher(topics.Q_VALUES)
         # only the newest matters: an old image has no use any more, nor have old weights
         self._images = self.subscription(
-            topics.IMAGE, self._on_image, eager=True, newest=True,
+            topics.IMAGE, self._on_image, eager=True, newest=True, renewed=True,
             type_name=topics.COMPRESSED_TYPE if settings.camera_compressed else None)
         self._weights = self.subscription(
             topics.WEIGHTS, self._on_weights, depth=WEIGHTS_DEPTH, newest=True,

@@ -49,8 +49,9 @@ OVERRIDE_ERRORS = (InvalidQosOverridesError, ParameterException, InvalidParamete
 # After losses and so much silence a reader may have gone deaf. It need not have, and then a new
 # one costs what arrives within milliseconds; so it is tried once after each loss.
 DEAF_SECONDS = 1.0
-# Of a stream, after which it is made anew although nothing was lost; each time in a silence that
-# goes on, as in a pause, after twice as long.
+# After so much silence a subscription may be made anew although nothing was lost; each time in a
+# silence that goes on, as in a pause, after twice as long. It costs what is on its way: behind a
+# lossy link, where a publisher of others repairs a gap after 3 s, hundreds of messages a minute.
 SILENT_SECONDS, MOST_SILENT_SECONDS = 2.0, 60.0
 # what may wait in the middleware; 2,000 images of 96x96 are 55 MB
 QUEUE_BYTES = 64 << 20
@@ -90,7 +91,7 @@ class AdaptiveSubscription:
     def __init__(
         self, node: Node, message_class: type, topic: str, callback: Callable[[Any], None],
         qos: QoSProfile, *, group: CallbackGroup | None = None, newest: bool = False,
-        bell: Bell | None = None, stream: bool = False,
+        bell: Bell | None = None, renewed: bool = False,
     ) -> None:
         """
         Subscribe.
@@ -104,7 +105,8 @@ class AdaptiveSubscription:
             group: keeps it out of the executor, for those who `take`.
             newest: whether only the newest message that waits is wanted.
             bell: to be rung when a message has come, which keeps it out of the executor, too.
-            stream: whether messages follow each other, so that silence means something.
+            renewed: whether to be made anew in a silence, too, at the price of what is on its way:
+                for those who only ever need the next message.
 
         Raises:
             SettingsError: an override with a value that there is not.
@@ -120,8 +122,8 @@ class AdaptiveSubscription:
         self._group, self._newest, self._bell = group, newest, bell
         self._heard_at = self._resized_at = time.monotonic()
         self._lost_since_made = 0
-        # seconds of silence after which a stream that was heard is made anew
-        self._stream, self._patience = stream, math.inf
+        # seconds of silence after which one that was heard is made anew
+        self._renewed, self._patience = renewed, math.inf
         self._largest = 0
         set_by_user = {
             kind for kind in OVERRIDES.policy_kinds
@@ -193,7 +195,7 @@ class AdaptiveSubscription:
                 message = newer
                 self.counts['skipped'] += 1
         self._heard_at = time.monotonic()
-        if self._stream:
+        if self._renewed:
             self._patience = SILENT_SECONDS
         data = getattr(message, 'data', None)
         if type(data) is array and len(data) > self._largest:

@@ -74,7 +74,7 @@ class _Locator:
         return str(cache_folder() / f'{Path(self._py_file).stem}-{self._hash[:16]}')
 
     def ensure_cache_path(self) -> None:
-        Path(self.get_cache_path()).mkdir(mode=0o700, exist_ok=True)
+        make_private(Path(self.get_cache_path()))
 
     def get_source_stamp(self) -> str:
         return self._hash
@@ -125,6 +125,7 @@ class _PrivateCache(FunctionCache):
 
     def load_overload(self, signature: Any, target: Any) -> Any:
         with contextlib.suppress(Exception):
+            self._impl.locator.ensure_cache_path()
             return super().load_overload(signature, target)
         return None
 

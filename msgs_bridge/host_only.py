@@ -6,7 +6,8 @@ Keeps the graph on this host unless its user opens it; docs/security.md says wha
 `ROS_AUTOMATIC_DISCOVERY_RANGE` is the one switch: SUBNET (or SYSTEM_DEFAULT) opens, anything else
 keeps closed. The range alone closes nothing: it says whom this process looks for, while its
 sockets hear every address, so that whoever names this host in `ROS_STATIC_PEERS` gets in. A
-profile of ours keeps the sockets of Fast DDS on the loopback address.
+profile of ours keeps the sockets of Fast DDS on the loopback address; another one, for a graph
+that is open, says only how often publishers look for what has not arrived.
 
 `python -m msgs_bridge.host_only` prints the same for a shell to evaluate, for tools that are not
 ours.
@@ -28,7 +29,8 @@ from msgs_bridge.share import share_path
 
 RANGE = 'ROS_AUTOMATIC_DISCOVERY_RANGE'
 OPEN = ('SUBNET', 'SYSTEM_DEFAULT')
-PROFILE = Path('config/only_this_host.xml')
+CLOSED_PROFILE = Path('config/only_this_host.xml')
+OPEN_PROFILE = Path('config/open_to_network.xml')
 
 PROFILE_VARIABLE = 'FASTRTPS_DEFAULT_PROFILES_FILE'
 """Where Fast DDS 2 is told of a profile."""
@@ -47,7 +49,7 @@ def stay_on_this_host() -> None:
         BridgeError: the loopback interface is down, so that no node would find another.
     """
     _set(os.environ)
-    if PROFILE_VARIABLE in os.environ and _is_ours(os.environ[PROFILE_VARIABLE]):
+    if Path(os.environ[PROFILE_VARIABLE]).name == CLOSED_PROFILE.name:
         _check_loopback()
 
 
@@ -73,21 +75,17 @@ def check_profile() -> None:
 
 
 def _set(environment: MutableMapping[str, str]) -> None:
-    discovery = environment.setdefault(RANGE, 'LOCALHOST')
+    opened = environment.setdefault(RANGE, 'LOCALHOST') in OPEN
     profile = environment.get(PROFILE_VARIABLE)
-    # one of ours that is gone is of an installation that was moved since its shell began
-    gone = profile and _is_ours(profile) and not os.path.isfile(profile)
-    if discovery not in OPEN and (not profile or gone):
-        environment[PROFILE_VARIABLE] = str(share_path(PROFILE).absolute())
+    # one of ours may be from before its user opened the range, or of an install that was moved
+    if profile and Path(profile).name not in (CLOSED_PROFILE.name, OPEN_PROFILE.name):
+        return
+    environment[PROFILE_VARIABLE] = str(
+        share_path(OPEN_PROFILE if opened else CLOSED_PROFILE).absolute())
+    if not opened:
         environment[SKIP_VARIABLE] = '1'
-    elif discovery in OPEN and profile and _is_ours(profile):
-        # set by a parent or a shell before its user opened the range
-        del environment[PROFILE_VARIABLE]
+    elif profile:
         environment.pop(SKIP_VARIABLE, None)
-
-
-def _is_ours(profile: str) -> bool:
-    return Path(profile).name == PROFILE.name
 
 
 def _check_loopback() -> None:

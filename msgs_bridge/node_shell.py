@@ -147,7 +147,7 @@ class NodeShell(Node):
     def subscription(
         self, topic: Topic, callback: Callable[[Any], None], *, type_name: str | None = None,
         depth: int | None = None, polled: bool = False, eager: bool = False,
-        newest: bool = False,
+        newest: bool = False, renewed: bool = False,
     ) -> AdaptiveSubscription:
         """
         Subscribe to a topic of the contract; bad messages are counted, not fatal.
@@ -162,6 +162,7 @@ class NodeShell(Node):
             polled: nothing is called until somebody calls `take`.
             eager: messages do not wait for the executor, for nodes that another one waits for.
             newest: only the newest message that waits is wanted; others are counted as skipped.
+            renewed: subscribed anew in a silence, at the price of what is on its way.
 
         Raises:
             SettingsError: a parameter `qos_overrides` with a value that there is not.
@@ -179,7 +180,7 @@ class NodeShell(Node):
             self, message_class(type_name or topic.type_name), topic.name, checked,
             qos_profile(topic, depth=depth), newest=newest,
             group=PolledGroup() if polled else None, bell=self._bell if eager else None,
-            stream=topic in topics.STREAMS)
+            renewed=renewed)
         self._heard.append((topic.name, subscription))
         if subscription.rings:
             self._eager.append(subscription)

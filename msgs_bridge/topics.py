@@ -74,8 +74,6 @@ PLAIN_TWIST_TYPE = 'geometry_msgs/msg/Twist'
 """The other type of `cmd_vel`, of robots that take no stamps."""
 
 TOPICS = (IMAGE, STEP, REWARD, EPISODE, CMD_VEL, Q_VALUES, WEIGHTS, VALIDATION, CLOCK, DIAGNOSTICS)
-# whose messages follow each other as long as anybody drives
-STREAMS = (IMAGE, STEP, CMD_VEL)
 
 IMAGE_ANNOTATED = Topic('image_annotated', 'sensor_msgs/msg/Image', 'image_annotator_node', 5,
                         'the camera beside Q-values, action, reward, return and speed; painted '

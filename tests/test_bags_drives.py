@@ -236,6 +236,18 @@ def test_one_odd_message_costs_no_other_frame(tmp_path, short, topic, odd, count
     assert [episode['decisions'] for episode in episodes] == [12, 12]
 
 
+@pytest.mark.parametrize('lost', [lambda data: [], not_a_number, stamped(10 ** 9)])
+def test_a_step_that_is_missing_calls_no_other_frame_different(tmp_path, short, lost):
+    bag = changed(short, tmp_path / 'bag', lambda name, number, data: (
+        lost(data) if (name, number) == ('/step', 5) else [data]))
+    found = verified(bag)
+    assert not found.good and 'transitions lack a step' in found.problems[0]
+    assert found.resimulation.differing_frames == 0
+    assert found.resimulation.skipped == {'steps of it are missing': 1}
+    # up to there, and the episode behind it
+    assert found.resimulation.frames == 5 + 13
+
+
 def test_verify_says_what_of_episode_cannot_be_used(tmp_path, short):
     found = verified(with_odd(short, tmp_path / 'bag', '/episode', junk, at=1))
     assert found.problems == ['1 messages of episode cannot be used']

@@ -105,6 +105,17 @@ def test_planted_pickles_are_not_read(place, tmp_path):
     assert not code_ran(place)
 
 
+def test_a_folder_within_that_others_may_write_in_is_not_read(place, tmp_path):
+    start(tmp_path)
+    inner, = place.iterdir()
+    inner.chmod(0o777)
+    # a hash is no secret
+    for path in kept(place):
+        path.write_bytes(trap_pickle(place) + hashlib.sha256(trap_pickle(place)).digest())
+    assert not start(tmp_path)
+    assert not code_ran(place)
+
+
 def others_may_write_in_it(place):
     place.chmod(0o777)
 
@@ -160,7 +171,6 @@ def test_a_user_without_any_place_compiles_every_time(place, tmp_path, monkeypat
         assert [start(tmp_path), start(tmp_path)] == [False, True]
 
 
-def test_a_folder_that_goes_away_before_anything_is_kept_ends_nothing(place, tmp_path):
+def test_a_folder_that_goes_away_before_anything_is_kept_is_made_again(place, tmp_path):
     assert not start(tmp_path, meanwhile=lambda: shutil.rmtree(place))
-    assert not start(tmp_path)
     assert start(tmp_path)

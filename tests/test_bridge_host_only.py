@@ -7,13 +7,14 @@ from pathlib import Path
 import shutil
 import subprocess
 import sys
+from xml.etree import ElementTree
 
 from carracing_dqn.bringup.environment import lay_out
 from graph_probe import wait_for
 from msgs_bridge.before_rclpy import before_rclpy
 from msgs_bridge.errors import BridgeError
 from msgs_bridge.host_only import (
-    PROFILE, PROFILE_VARIABLE, RANGE, SKIP_VARIABLE, stay_on_this_host,
+    CLOSED_PROFILE, OPEN_PROFILE, PROFILE_VARIABLE, RANGE, SKIP_VARIABLE, stay_on_this_host,
 )
 from msgs_bridge.share import share_path
 import pytest
@@ -117,15 +118,19 @@ def environment_after(monkeypatch, **given):
 
 
 def test_one_switch_opens_and_a_profile_of_the_users_own_stays(monkeypatch):
-    profile = str(share_path(PROFILE))
+    profile, opened = (str(share_path(one)) for one in (CLOSED_PROFILE, OPEN_PROFILE))
     assert environment_after(monkeypatch) == ('LOCALHOST', profile)
     assert os.environ[SKIP_VARIABLE] == '1'
     # what rcl does not know it takes for LOCALHOST
     assert environment_after(monkeypatch, **{RANGE: 'subnet'}) == ('subnet', profile)
-    assert environment_after(monkeypatch, **{RANGE: 'SUBNET'}) == ('SUBNET', None)
+    assert environment_after(monkeypatch, **{RANGE: 'SUBNET'}) == ('SUBNET', opened)
+    assert SKIP_VARIABLE not in os.environ
     # a child of a closed process whose user has opened the range
     assert environment_after(
-        monkeypatch, **{RANGE: 'SUBNET', PROFILE_VARIABLE: profile}) == ('SUBNET', None)
+        monkeypatch, **{RANGE: 'SUBNET', PROFILE_VARIABLE: profile, SKIP_VARIABLE: '1'},
+    ) == ('SUBNET', opened)
+    assert SKIP_VARIABLE not in os.environ
+    assert environment_after(monkeypatch, **{PROFILE_VARIABLE: opened}) == ('LOCALHOST', profile)
     for discovery in ('LOCALHOST', 'SUBNET'):
         own = {RANGE: discovery, PROFILE_VARIABLE: '/etc/own.xml'}
         assert environment_after(monkeypatch, **own) == (discovery, '/etc/own.xml')
@@ -133,11 +138,18 @@ def test_one_switch_opens_and_a_profile_of_the_users_own_stays(monkeypatch):
 
 def test_a_profile_of_ours_that_is_gone_is_replaced_by_the_present_one(monkeypatch, tmp_path):
     """A shell keeps the path of a checkout that was moved; without a profile Fast DDS opens."""
-    moved = str(tmp_path / PROFILE)
+    moved = str(tmp_path / CLOSED_PROFILE)
     assert environment_after(monkeypatch, **{PROFILE_VARIABLE: moved}) == (
-        'LOCALHOST', str(share_path(PROFILE)))
+        'LOCALHOST', str(share_path(CLOSED_PROFILE)))
     assert environment_after(monkeypatch, **{RANGE: 'SUBNET', PROFILE_VARIABLE: moved}) == (
-        'SUBNET', None)
+        'SUBNET', str(share_path(OPEN_PROFILE)))
+
+
+def test_publishers_look_as_often_for_what_has_not_arrived_however_open_the_graph():
+    period = [ElementTree.parse(share_path(one)).findtext(
+        './/{*}publisher[@is_default_profile="true"]/{*}times/{*}heartbeatPeriod/{*}nanosec')
+        for one in (CLOSED_PROFILE, OPEN_PROFILE)]
+    assert period[0] == period[1] == '200000000'
 
 
 @pytest.mark.parametrize('content', [None, b'no profile', b'\xff\xfe', 'fifo'])
@@ -154,7 +166,7 @@ def test_a_profile_that_cannot_be_read_opens_nothing(monkeypatch, tmp_path, cont
     monkeypatch.setenv(RANGE, 'SUBNET')
     before_rclpy()
     own.unlink(missing_ok=True)
-    own.write_text(share_path(PROFILE).read_text())
+    own.write_text(share_path(CLOSED_PROFILE).read_text())
     environment_after(monkeypatch, **{PROFILE_VARIABLE: str(own)})
     before_rclpy()
 
@@ -173,12 +185,12 @@ def test_the_setup_file_does_the_same_for_tools_that_are_not_ours(tmp_path):
             ['bash', '-c', script], env={'PATH': os.environ['PATH'], **environment}, cwd=ROOT,
             capture_output=True, text=True, check=True).stdout.split()
 
-    profile = str(tmp_path / 'share/carracing_dqn' / PROFILE)
+    profile, opened = (
+        str(tmp_path / 'share/carracing_dqn' / one) for one in (CLOSED_PROFILE, OPEN_PROFILE))
     assert say(source + show) == [str(tmp_path), 'LOCALHOST', profile]
     assert say(source + show, **{RANGE: 'SUBNET', 'AMENT_PREFIX_PATH': '/opt/ros'}) == [
-        f'{tmp_path}:/opt/ros', 'SUBNET']
-    opened = say(f'{source} export {RANGE}=SUBNET; {source} echo {RANGE} ${PROFILE_VARIABLE}')
-    assert opened == [RANGE]
+        f'{tmp_path}:/opt/ros', 'SUBNET', opened]
+    assert say(f'{source} export {RANGE}=SUBNET; {source} echo ${PROFILE_VARIABLE}') == [opened]
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason='only root may make a network namespace')

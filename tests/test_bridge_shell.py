@@ -76,6 +76,18 @@ class Eager(Listener):
     how = {'eager': True}
 
 
+class RenewedPoller(Listener):
+    """Takes images when asked, and only ever needs the next one."""
+
+    how = {'polled': True, 'renewed': True}
+
+
+class RenewedEager(Listener):
+    """Hears images without the executor, and only ever needs the next one."""
+
+    how = {'eager': True, 'renewed': True}
+
+
 @pytest.fixture
 def pair():
     """Return two nodes in this process."""
@@ -221,7 +233,21 @@ def test_a_reader_is_made_anew_when_nothing_comes_after_a_flood(pair):
         flood.wait()
 
 
-@pytest.mark.parametrize('kind', [Poller, Eager])
+def test_who_needs_every_message_keeps_its_subscription_in_a_silence(pair, monkeypatch):
+    # what a publisher is about to send again, after a heartbeat of seconds, would be lost with it
+    monkeypatch.setattr(adaptive_subscription, 'SILENT_SECONDS', 0.2)
+    node = pair.start(Poller)
+    camera = pair.offer(Image, 'image_raw')
+    pair.spin_until(lambda: node.images.matched, 5, 'the camera is found')
+    first = node.images.subscription
+    pair.spin_until(lambda: node.heard, 10, 'an image', lambda: (
+        camera.publish(Image()), node.take(node.images)))
+    until = time.monotonic() + 2
+    pair.spin_until(lambda: time.monotonic() > until, 5, 'a silence')
+    assert node.images.subscription is first and not node.images.counts['renewed']
+
+
+@pytest.mark.parametrize('kind', [RenewedPoller, RenewedEager])
 def test_a_stream_that_falls_silent_is_subscribed_anew_and_more_and_more_seldom(
         pair, monkeypatch, kind):
     monkeypatch.setattr(adaptive_subscription, 'SILENT_SECONDS', 0.5)
