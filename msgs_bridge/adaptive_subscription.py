@@ -16,7 +16,6 @@ from array import array
 from collections import Counter
 from collections.abc import Callable, Sequence
 import copy
-import math
 import time
 from typing import Any
 
@@ -25,6 +24,7 @@ from msgs_bridge.matching import (
     common_request, publishers_of, type_name_of, unheard_publishers,
 )
 from msgs_bridge.plain_text import plain
+from msgs_bridge.silence import Silence
 from msgs_bridge.transport.arrival import Bell
 from rclpy.callback_groups import CallbackGroup
 from rclpy.event_handler import (
@@ -49,10 +49,6 @@ OVERRIDE_ERRORS = (InvalidQosOverridesError, ParameterException, InvalidParamete
 # After losses and so much silence a reader may have gone deaf. It need not have, and then a new
 # one costs what arrives within milliseconds; so it is tried once after each loss.
 DEAF_SECONDS = 1.0
-# After so much silence a subscription may be made anew although nothing was lost; each time in a
-# silence that goes on, as in a pause, after twice as long. It costs what is on its way: behind a
-# lossy link, where a publisher of others repairs a gap after 3 s, hundreds of messages a minute.
-SILENT_SECONDS, MOST_SILENT_SECONDS = 2.0, 60.0
 # what may wait in the middleware; 2,000 images of 96x96 are 55 MB
 QUEUE_BYTES = 64 << 20
 LEAST_DEPTH = 2
@@ -105,8 +101,8 @@ class AdaptiveSubscription:
             group: keeps it out of the executor, for those who `take`.
             newest: whether only the newest message that waits is wanted.
             bell: to be rung when a message has come, which keeps it out of the executor, too.
-            renewed: whether to be made anew in a silence, too, at the price of what is on its way:
-                for those who only ever need the next message.
+            renewed: whether to be made anew in a short silence, too, at the price of what is on
+                its way: for those who only ever need the next message.
 
         Raises:
             SettingsError: an override with a value that there is not.
@@ -120,10 +116,9 @@ class AdaptiveSubscription:
         self._message_class, self._type_name = message_class, type_name_of(message_class)
         self._deliver = callback
         self._group, self._newest, self._bell = group, newest, bell
-        self._heard_at = self._resized_at = time.monotonic()
+        self._resized_at = time.monotonic()
         self._lost_since_made = 0
-        # seconds of silence after which one that was heard is made anew
-        self._renewed, self._patience = renewed, math.inf
+        self._silence = Silence(short=renewed)
         self._largest = 0
         set_by_user = {
             kind for kind in OVERRIDES.policy_kinds
@@ -175,14 +170,15 @@ class AdaptiveSubscription:
         self.unheard = unheard_publishers(publishers, self._type_name, self.qos)
         if self._resizes:
             self._fit_sizes()
-        silent = time.monotonic() - self._heard_at
-        if self._lost_since_made and silent > DEAF_SECONDS and publishers:
+        if not publishers:
+            return
+        if self._lost_since_made and self._silence.seconds > DEAF_SECONDS:
             self.counts['deaf'] += 1
             self._make_anew()
-        elif silent > self._patience and publishers:
+        # what is latched is seldom said
+        elif not self._latched and self._silence.too_long():
             self.counts['renewed'] += 1
             self._make_anew()
-            self._patience = min(2 * self._patience, MOST_SILENT_SECONDS)
 
     def _receive(self, message: Any) -> None:
         """Deliver a message, or the newest one that waits behind it."""
@@ -194,9 +190,7 @@ class AdaptiveSubscription:
                     break
                 message = newer
                 self.counts['skipped'] += 1
-        self._heard_at = time.monotonic()
-        if self._renewed:
-            self._patience = SILENT_SECONDS
+        self._silence.end()
         data = getattr(message, 'data', None)
         if type(data) is array and len(data) > self._largest:
             self._largest = len(data) * data.itemsize
@@ -238,7 +232,7 @@ class AdaptiveSubscription:
 
     def _make_anew(self) -> None:
         self._lost_since_made = 0
-        self._heard_at = time.monotonic()
+        self._silence.begin_anew()
         # DDS refuses a second reader of the topic with another type support, so the old one first
         self._destroy(self.subscription)
         self.subscription = self._make()

@@ -162,7 +162,7 @@ class NodeShell(Node):
             polled: nothing is called until somebody calls `take`.
             eager: messages do not wait for the executor, for nodes that another one waits for.
             newest: only the newest message that waits is wanted; others are counted as skipped.
-            renewed: subscribed anew in a silence, at the price of what is on its way.
+            renewed: subscribed anew in a short silence, at the price of what is on its way.
 
         Raises:
             SettingsError: a parameter `qos_overrides` with a value that there is not.

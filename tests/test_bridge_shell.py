@@ -12,7 +12,7 @@ from types import SimpleNamespace
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import Twist
-from msgs_bridge import adaptive_subscription, topics
+from msgs_bridge import silence, topics
 from msgs_bridge.errors import SettingsError
 from msgs_bridge.matching import (
     as_known, NamesHidden, nodes_of, publishers_of, services_of, topics_of,
@@ -233,9 +233,9 @@ def test_a_reader_is_made_anew_when_nothing_comes_after_a_flood(pair):
         flood.wait()
 
 
-def test_who_needs_every_message_keeps_its_subscription_in_a_silence(pair, monkeypatch):
+def test_who_needs_every_message_keeps_its_subscription_in_a_short_silence(pair, monkeypatch):
     # what a publisher is about to send again, after a heartbeat of seconds, would be lost with it
-    monkeypatch.setattr(adaptive_subscription, 'SILENT_SECONDS', 0.2)
+    monkeypatch.setattr(silence, 'SHORT_SECONDS', 0.2)
     node = pair.start(Poller)
     camera = pair.offer(Image, 'image_raw')
     pair.spin_until(lambda: node.images.matched, 5, 'the camera is found')
@@ -245,12 +245,15 @@ def test_who_needs_every_message_keeps_its_subscription_in_a_silence(pair, monke
     until = time.monotonic() + 2
     pair.spin_until(lambda: time.monotonic() > until, 5, 'a silence')
     assert node.images.subscription is first and not node.images.counts['renewed']
+    # one that hears nothing for long may have gone deaf
+    monkeypatch.setattr(silence.Silence, 'seconds', silence.LONG_SECONDS + 1)
+    pair.spin_until(lambda: node.images.counts['renewed'], 5, 'a new one')
 
 
 @pytest.mark.parametrize('kind', [RenewedPoller, RenewedEager])
 def test_a_stream_that_falls_silent_is_subscribed_anew_and_more_and_more_seldom(
         pair, monkeypatch, kind):
-    monkeypatch.setattr(adaptive_subscription, 'SILENT_SECONDS', 0.5)
+    monkeypatch.setattr(silence, 'SHORT_SECONDS', 0.5)
     node = pair.start(kind)
     camera = pair.offer(Image, 'image_raw')
     images = node.images

@@ -23,13 +23,15 @@ from msgs_bridge.host_only import stay_on_this_host
 from msgs_bridge.message_types import message_class
 from msgs_bridge.node_shell import PolledGroup
 from msgs_bridge.qos import qos_profile
-from msgs_bridge.topics import STALL_DEPTH, TOPICS
+from msgs_bridge.silence import Silence
+from msgs_bridge.topics import STALL_DEPTH, Topic, TOPICS
 from rcl_interfaces.msg import SetParametersResult
 import rclpy
 from rclpy._rclpy_pybind11 import RCLError
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
+from rclpy.subscription import Subscription
 
 UPSTREAM = '_upstream'
 # a node that cannot relay as fast as the graph drives would be a fault of its own
@@ -47,17 +49,28 @@ class FaultNode(Node):
         super().__init__('fault_node')
         names = self.declare_parameter('topics', ','.join(BY_NAME)).value
         self.declare_parameter('fault', '')
-        self._lanes = {}
+        self._lanes: dict[str, tuple[Relay, Publisher, Subscription]] = {}
+        self._silences: dict[str, Silence] = {}
         for name in filter(None, names.split(',')):
             topic = BY_NAME[name]
             kind = message_class(topic.type_name)
             publisher = self.create_publisher(kind, name, qos_profile(topic))
-            subscription = self.create_subscription(
-                kind, name + UPSTREAM, lambda _: None,
-                qos_profile(topic, depth=None if topic.latched else STALL_DEPTH), raw=True,
-                callback_group=PolledGroup())
-            self._lanes[name] = Relay(topic.type_name), publisher, subscription
+            self._lanes[name] = Relay(topic.type_name), publisher, self._subscription(topic)
         self.add_on_set_parameters_callback(self._on_set)
+
+    def _subscription(self, topic: Topic) -> Subscription:
+        self._silences[topic.name] = Silence(short=True)
+        return self.create_subscription(
+            message_class(topic.type_name), topic.name + UPSTREAM, lambda _: None,
+            qos_profile(topic, depth=None if topic.latched else STALL_DEPTH), raw=True,
+            callback_group=PolledGroup())
+
+    def renew(self) -> None:
+        """Subscribe anew to what is silent: a reader that goes deaf is no fault of the table."""
+        for name, (relay, publisher, subscription) in self._lanes.items():
+            if not BY_NAME[name].latched and self._silences[name].too_long():
+                self.destroy_subscription(subscription)
+                self._lanes[name] = relay, publisher, self._subscription(BY_NAME[name])
 
     def _on_set(self, parameters: list) -> SetParametersResult:
         for parameter in parameters:
@@ -73,10 +86,11 @@ class FaultNode(Node):
     def relay(self) -> int:
         """Take what has come and hand on what is due; return how many messages came."""
         came = 0
-        for relay, publisher, subscription in self._lanes.values():
+        for name, (relay, publisher, subscription) in self._lanes.items():
             with subscription.handle:
                 while taken := subscription.handle.take_message(subscription.msg_type, True):
                     came += 1
+                    self._silences[name].end()
                     self._send(publisher, relay.arrived(taken[0], time.monotonic()))
             if relay.kind != PASS:
                 self._send(publisher, relay.due(time.monotonic()))
@@ -103,6 +117,7 @@ def main() -> None:
                 time.sleep(IDLE_SECONDS)
             if time.monotonic() - turn > EXECUTOR_SECONDS:
                 executor.spin_once(timeout_sec=0)
+                node.renew()
                 turn = time.monotonic()
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
