@@ -7,9 +7,10 @@ import sys
 from carracing_dqn.evaluation import laps as laps_module
 from carracing_dqn.evaluation.errors import EvaluationError, PolicyError
 from carracing_dqn.evaluation.lap_series import drive_laps
-from carracing_dqn.evaluation.laps import drive_lap
+from carracing_dqn.evaluation.laps import drive_lap, lap_of
 from carracing_dqn.evaluation.policies import parse_policy, PolicySource
 from carracing_dqn.evaluation.progress import summary_rows
+from carracing_dqn.evaluation.results import read_json, Results, write_json
 from carracing_dqn.evaluation.statistics import statistics_of
 from carracing_dqn.evaluation.trajectory import drive_trajectory
 from carracing_dqn.evaluation.validator import validate
@@ -125,6 +126,25 @@ class Endless(toy_simulator.Toy):
         return False, False
 
 
+class Rich(toy_simulator.Toy):
+    world = 'its own'
+
+    def advance(self, command, frames=1):
+        return super().advance(command, frames)._replace(reward=4e8)
+
+
+def test_what_no_file_of_laps_could_hold_is_left_out_or_named(tmp_path):
+    with pytest.raises(SimulatorError, match='rewards that add up to'):
+        drive_lap(Rich(None), Steady((0.0, 0.0)), 3)
+    found = lap_of(3, 5.0, 9, {'standing_still': 1e300, 'lap_finished': 1.0,
+                               'tiles_visited': float('nan'), 'tiles_total': 9}, 1.0)
+    assert found.lap_finished and found.standing_still is found.tiles_visited is None
+    write_json(tmp_path / 'r.json', Results({}, 'toy', {3: found}, 1))
+    assert read_json(tmp_path / 'r.json').laps == {3: found}
+    with pytest.raises(EvaluationError, match='has no track'):
+        drive_trajectory(Rich(None), Steady((0.0, 0.0)), 1)
+
+
 class Crooked(toy_simulator.Toy):
     def pixels(self):
         return super().pixels()[:, :, 0]
@@ -172,6 +192,8 @@ def _die():
         if job == 'die':
             os._exit(3)
         sys.exit(3) if job == 'exit' else None
+        if job == 'disk':
+            raise OSError(5, 'Input/output error')
         raise RuntimeError(f'cannot do {job}')
     return work
 
@@ -183,8 +205,11 @@ def test_a_worker_that_dies_or_fails_ends_the_work():
     # whichever of two is noticed first
     with pytest.raises(EvaluationError, match='died|cannot do th'):
         list(run_jobs(_die, ['die', 'this', 'that'], 2))
-    with pytest.raises(EvaluationError, match='SystemExit: 3'):
+    with pytest.raises(EvaluationError, match='failed: SystemExit: 3'):
         list(run_jobs(_die, ['exit'], 1))
+    # as it is when it is driven in this process
+    with pytest.raises(OSError, match='Input/output error'):
+        list(run_jobs(_die, ['disk'], 1))
     with pytest.raises(EvaluationError, match='cannot do this'):
         list(run_jobs(_die, ['this', 'that'], 1))
 

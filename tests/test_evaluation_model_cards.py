@@ -1,6 +1,7 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
 """The cards of the shipped models say what their records say."""
+import json
 from pathlib import Path
 import shutil
 
@@ -33,6 +34,16 @@ def test_a_card_follows_the_record(tmp_path):
     card = model_card(folder)
     assert '## Test' not in card
     assert 'One training run' in card and 'It learned in `mujoco_car`' in card
+
+
+def test_halves_of_signs_in_a_record_do_no_harm(tmp_path):
+    shutil.copytree(MODELS / 'mujoco_car', tmp_path / 'mine')
+    path = tmp_path / 'mine/record/run.json'
+    record = json.loads(path.read_text())
+    record['started'] = '\ud800'
+    path.write_text(json.dumps(record))
+    assert main([str(tmp_path / 'mine')]) == 0
+    assert '| begun | ? |' in (tmp_path / 'mine' / CARD).read_text(encoding='utf-8')
 
 
 @pytest.mark.parametrize('record', ['{}', '{"sessions": [], "seeds": 5}', '[]'])

@@ -3,13 +3,18 @@
 """Runs that are being written, cut off, empty or odd: what is there is shown, the rest named."""
 import json
 import os
+import shutil
+import tracemalloc
 
+from carracing_dqn.evaluation import tables
 from carracing_dqn.evaluation.comparison import compare
 from carracing_dqn.evaluation.errors import RecordsError, ResultsError
 from carracing_dqn.evaluation.records import add_results, load_run
 from carracing_dqn.evaluation.results import write_json
 from carracing_dqn.evaluation.tables import read_table
 from evaluation_cases import EPISODES, results, write_run
+from dqn_policy_node import find_model
+from dqn_policy_node.model_record import read_model_record
 from msgs_bridge.yaml_text import dump_yaml
 import numpy as np
 import pytest
@@ -182,6 +187,54 @@ def test_laps_in_another_simulator_are_not_those_of_the_run(tmp_path):
     assert 'holds laps in racetrack, and run learned in carracing' in run.problems[0]
     (folder / 'config.yaml').write_text('simulator: racetrack\n')
     assert load_run(folder).evaluation.statistics.mean == 300
+
+
+@pytest.mark.parametrize(('learned', 'driven', 'same'), [
+    ('robots.sim:Fast', 'robots.track:Slow', False), ('robots.sim:Fast', 'robots.sim:Fast', True),
+    ('worlds/mine.yaml', '../worlds/mine.yaml', True), ('worlds/mine.yaml', 'mine', True),
+    ('worlds/mine.yaml', 'worlds/other.yaml', False)])
+def test_simulators_are_told_apart_by_their_names(tmp_path, learned, driven, same):
+    folder = write_run(tmp_path / 'run', [1])
+    (folder / 'config.yaml').write_text(f'simulator: {learned}\n')
+    elsewhere = results([300])
+    elsewhere.simulator = driven
+    write_json(folder / 'evaluation.json', elsewhere)
+    assert (load_run(folder).evaluation is not None) == same
+
+
+def test_who_has_driven_is_said_where_it_was_not_the_model_as_it_is(tmp_path):
+    folder = write_run(tmp_path / 'run', [1])
+    shutil.copytree(find_model('racing'), folder / 'best')
+    weights = read_model_record(folder / 'best').weights_sha256
+    for policy, said in (
+        ({'kind': 'model', 'weights_sha256': weights, 'action_repeat': 2}, None),
+        ({'kind': 'model', 'weights_sha256': weights, 'action_repeat': 5},
+         'actions were held for 5 frames; the model was trained with 2'),
+        ({'kind': 'model', 'weights_sha256': 'x'}, 'of other weights than those in best'),
+        ({'kind': 'custom', 'name': 'mine:Policy'}, 'of mine:Policy, not of the model'),
+    ):
+        driven = results([300])
+        driven.policy = policy
+        write_json(folder / 'evaluation.json', driven)
+        run = load_run(folder)
+        assert len(run.problems) == bool(said) and (said is None or said in run.problems[0])
+
+
+def test_a_table_takes_about_the_memory_of_its_numbers(tmp_path, monkeypatch):
+    # as many bytes are set aside for the file
+    monkeypatch.setattr(tables, 'MAX_BYTES', 2**20)
+    path = tmp_path / 'x.csv'
+    path.write_text('a,b,c,d\n' + '1,2,3,4\n' * 100_000)
+    tracemalloc.start()
+    try:
+        table, problems = read_table(path, ('a', 'b'))
+        _, most = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert table.rows == 100_000 and problems == []
+    assert most < 3 * 4 * 8 * table.rows
+    path.write_text(','.join('x' * 2000) + '\n')
+    assert read_table(path, ('x',))[1] == ['x.csv has 2000 columns; accepted: 1000.']
 
 
 def test_which_laps_are_shown_is_said(tmp_path):

@@ -7,16 +7,19 @@ import json
 import math
 import os
 from pathlib import Path
+import time
 
 from carracing_dqn.bringup.command import main as carracing
-from carracing_dqn.evaluation import evaluate_command
+from carracing_dqn.evaluation import evaluate_command, kept_laps
 from carracing_dqn.evaluation.errors import EvaluationError, ResultsError
+from carracing_dqn.evaluation.kept_laps import keep_laps
 from carracing_dqn.evaluation.policies import PolicySource
 from carracing_dqn.evaluation.results import (
     COLUMNS, locked, read_json, resume, write_csv, write_json,
 )
-from evaluation_cases import results
+from evaluation_cases import lap, results
 import pytest
+from rich.console import Console
 
 POLICY = {'kind': 'model', 'name': 'model'}
 
@@ -25,6 +28,31 @@ POLICY = {'kind': 'model', 'name': 'model'}
 def own_folder(tmp_path, monkeypatch):
     """Laps are kept below the current folder when nothing else is said."""
     monkeypatch.chdir(tmp_path)
+
+
+def too_large(frame):
+    """Be a policy whose number fits no float."""
+    return 10**400, 0.0
+
+
+class _Unreadable:
+    def __iter__(self):
+        raise RuntimeError('not to be read')
+
+
+def unreadable(frame):
+    """Be a policy whose answer fails when it is looked at."""
+    return _Unreadable()
+
+
+class Seldom:
+    """A policy that does not say how often it acts."""
+
+    action_repeat = None
+
+    def act(self, frame):
+        """Return an action."""
+        return 0.0, 0.0
 
 
 def evaluate(*words):
@@ -66,12 +94,25 @@ def test_a_lap_with_a_missing_or_wrong_value_is_damage(tmp_path):
     for change in (
             {'episode_return': None}, {'tiles_total': 0}, {'frames': 'many'},
             {'episode_return': math.nan}, {'episode_return': math.inf}, {'frames': math.inf},
-            {'frames': 10**400}, {'seed': 1.5}, {'seed': True}, {'tiles_visited': None},
+            {'frames': 10**400}, {'frames': 2**53 + 1}, {'seed': 1.5}, {'seed': True},
+            {'tiles_visited': None},
             {'tiles_visited': 301}, {'tiles_visited': -1}, {'lap_finished': 2}):
         laps = [values['laps'][0] | change]
         (tmp_path / 'r.json').write_text(json.dumps({**values, 'laps': laps}))
         with pytest.raises(ResultsError, match='damaged'):
             read_json(tmp_path / 'r.json')
+
+
+@pytest.mark.parametrize('change', [
+    {'policy': [[1, 2]]}, {'policy': None}, {'machine': [['a', 1]]}, {'simulator': 5},
+    {'wanted': -1}, {'wanted': 1.5}, {'wanted': 10**400}, {'seconds': math.nan},
+    {'seconds': math.inf}, {'seconds': '1'}, {'seconds': 10**400}, {'simulator_source': 1}])
+def test_what_is_said_of_laps_is_of_its_kind_or_damage(tmp_path, change):
+    write_json(tmp_path / 'r.json', results([700]))
+    values = json.loads((tmp_path / 'r.json').read_text())
+    (tmp_path / 'r.json').write_text(json.dumps(values | change))
+    with pytest.raises(ResultsError, match='damaged'):
+        resume(tmp_path / 'r.json', POLICY, 'gymnasium', range(100_000, 100_010))
 
 
 def test_a_seed_that_comes_twice_is_damage(tmp_path):
@@ -96,6 +137,76 @@ def test_laps_of_another_policy_are_not_gone_on_with(tmp_path):
     assert resume(tmp_path / 'r.json', made.policy, 'gymnasium', seeds).laps
     with pytest.raises(ResultsError, match="name is 'mine:drive' there, 'mine:park' here"):
         resume(tmp_path / 'r.json', {**made.policy, 'name': 'mine:park'}, 'gymnasium', seeds)
+
+
+def test_laps_of_code_that_has_changed_since_are_not_gone_on_with(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    toy = Path(__file__).with_name('toy_simulator.py').read_text()
+    Path('driver_of_mine.py').write_text('def drive(frame):\n    return 0.0, 0.0\n')
+    Path('world_of_mine.py').write_text(toy)
+    Path('toy.yaml').write_text('simulator: world_of_mine:Toy\n')
+    words = {
+        'driver_of_mine.py': ('--policy', 'driver_of_mine:drive', '--simulator', 'fast'),
+        'world_of_mine.py': ('--policy', 'random', '--simulator', 'world_of_mine:Toy'),
+        'toy.yaml': ('--policy', 'random', '--simulator', 'toy.yaml')}
+    for changed, (policy, name, simulator, world) in words.items():
+        path = Path('r.json')
+        words = ['evaluate', policy, name, simulator, world, '--episodes', '1', '--processes',
+                 '1', '--json', str(path)]
+        assert carracing(words) == 0, capsys.readouterr().err
+        assert carracing(words) == 0 and '1 of 1 laps are in' in capsys.readouterr().out
+        Path(changed).write_text(Path(changed).read_text() + '# another one\n')
+        assert carracing(words) == 2
+        assert 'source' in capsys.readouterr().err, changed
+        # files of an older version do not say it of the simulator
+        values = json.loads(path.read_text())
+        del values['simulator_source']
+        path.write_text(json.dumps(values))
+        assert carracing(words) == (2 if name == 'driver_of_mine:drive' else 0)
+        path.unlink()
+
+
+def test_what_only_driven_laps_give_is_not_promised_of_others(tmp_path, capsys):
+    path = tmp_path / 'r.json'
+    words = ('--policy', 'random', '--episodes', 1, '--seed', 5, '--json', path)
+    assert evaluate(*words) == 0
+    assert evaluate(*words, '--pictures', tmp_path / 'pictures') == 2
+    assert '1 of the laps in' in capsys.readouterr().err
+    assert not (tmp_path / 'pictures').exists()
+    path.unlink()
+    assert evaluate(*words, '--pictures', tmp_path / 'pictures') == 0
+    assert evaluate(*words, '--pictures', tmp_path / 'pictures') == 0
+    made = results([700])
+    made.policy, made.simulator = PolicySource('random').identity(), 'graph'
+    write_json(path, made)
+    assert carracing(['evaluate', '--policy', 'random', '--episodes', '1', '--json', str(path),
+                      '--through-graph', '--bag', str(tmp_path / 'bag')]) == 2
+    assert '--bag: all laps are in' in capsys.readouterr().err
+
+
+def test_thousands_of_laps_are_not_written_after_each_and_none_is_lost(tmp_path, monkeypatch):
+    written = []
+    made = results([700])
+
+    def slow():
+        time.sleep(0.02)
+        written.append(len(made.laps))
+
+    def drive(fails):
+        for seed in range(100):
+            time.sleep(0.001)
+            yield lap(seed, 1.0)
+        if fails:
+            raise EvaluationError('no more')
+
+    monkeypatch.setattr(kept_laps, 'QUICK_SECONDS', 0.01)
+    keep_laps(drive(fails=False), made, Console(), slow)
+    assert written[0] == 2 and written[-1] == 101 and len(written) < 50
+    made.laps.clear()
+    with pytest.raises(EvaluationError, match='no more'):
+        keep_laps(drive(fails=True), made, Console(), slow)
+    assert written[-1] == 100
 
 
 def test_two_commands_do_not_write_laps_into_one_file(tmp_path, monkeypatch, capsys):
@@ -206,11 +317,15 @@ def test_a_place_that_cannot_be_written_is_said_before_anything_is_driven(monkey
     (['--json', './r.csv', '--csv', 'r.csv'], 'are both r.csv'),
     (['--seed', -1], 'seed is -1'), (['--seed', 2**31], 'seed is'),
     (['--action-repeat', 51], 'action-repeat is 51'), (['--action-repeat', 2], 'for models'),
+    (['--device', 'cuda'], '--device is for models'),
     (['--bag', 'x'], 'through-graph'), (['--json', '/no/such/folder/r.json'], 'no folder'),
     (['--policy', 'me'], 'accepted:'),
     (['--policy', 'evaluation_cases:not_finite'], 'answered (nan'),
     (['--policy', 'evaluation_cases:fail'], 'failed in act: RuntimeError: a fault of its own'),
     (['--policy', 'evaluation_cases:leave'], 'failed in act: SystemExit: 0'),
+    (['--policy', f'{__name__}:too_large'], 'answered (1000'),
+    (['--policy', f'{__name__}:unreadable'], 'failed in act: RuntimeError: not to be read'),
+    (['--policy', f'{__name__}:Seldom'], 'failed in action_repeat: TypeError'),
     (['--policy', 'evaluation_cases:Unmade'], 'failed in its making: OSError: no hands'),
     (['--model', 'no_such_model'], 'no_such_model'),
 ])

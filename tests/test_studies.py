@@ -21,15 +21,21 @@ from carracing_dqn.studies.bootstrap import (
 from carracing_dqn.studies.curves import draw
 from carracing_dqn.studies.errors import StudyError
 from carracing_dqn.studies.one_process import learn
-from carracing_dqn.studies.outcome import Curve, DONE, Outcome, UNFINISHED
+from carracing_dqn.evaluation.results import Results, write_json
+from carracing_dqn.studies.outcome import Curve, DONE, Outcome, outcome_of, UNFINISHED
+from carracing_dqn.studies.page import write_page
 from carracing_dqn.studies.schedule import why_ended
 from carracing_dqn.studies.search import Search
-from carracing_dqn.studies.study_file import find_study, load_study, plan, study_names
-from dqn_policy_node.model_folder import load_model
+from carracing_dqn.studies.study_file import (
+    find_study, load_study, plan, StudySettings, study_names,
+)
+from dqn_policy_node.model_folder import load_model, Model, save_model
+from dqn_policy_node.model_record import read_model_record
+from dqn_policy_node.network import QNetwork
 import numpy as np
 import pytest
 import torch
-from trainer_node.hyperparameters import load_preset
+from trainer_node.hyperparameters import load_preset, to_yaml
 from trainer_node.training import Training
 import yaml
 
@@ -124,6 +130,55 @@ def test_a_study_that_is_stopped_goes_on_where_it_was(folder):
     record = json.loads(rows.with_name('run.json').read_text())
     assert len(record['sessions']) == 2 and record['complete']
     assert load_model(rows.parent / 'final').training['decisions'] == 2500
+
+
+def driven(study, output, **training):
+    """Write the folder of a run that is complete, with laps of its last weights; return both."""
+    run, = plan(study, study.arms, output)
+    description = run.settings.model_description()
+    run.folder.mkdir(parents=True)
+    (run.folder / 'plan.yaml').write_text(to_yaml(run.settings))
+    (run.folder / 'run.json').write_text(json.dumps({'complete': True, 'wall_seconds': 120}))
+    (run.folder / 'episodes.csv').write_text(
+        'episode,decisions,train_reward\n0,100,1.0\n1,200,3.0\n')
+    for name in ('best', 'final'):
+        save_model(run.folder / name, Model(
+            description, dict(QNetwork(description).state_dict()), training, 1))
+    laps = {seed: Lap(seed, 5.0, 9) for seed in range(200_000, 200_003)}
+    weights = read_model_record(run.folder / 'final').weights_sha256
+    write_json(run.folder / 'evaluation.json', Results(
+        {'kind': 'model', 'weights_sha256': weights}, 'toy_simulator:Toy', laps, 3))
+    return run
+
+
+def test_laps_of_other_weights_than_the_study_asks_for_are_not_its(folder):
+    run = driven(load_study(Path(write(seeds=[5]))), folder / 'out')
+    assert outcome_of(run, StudySettings(laps=3)).state == DONE
+    for changes in ({'model': 'best'}, {'laps': 4}, {'test_seed': 200_001}):
+        outcome = outcome_of(run, StudySettings(**{'laps': 3, **changes}))
+        assert outcome.state == UNFINISHED and not outcome.laps, changes
+
+
+@pytest.mark.parametrize('training', [
+    {'decisions': 10**400, 'episodes': 2, 'updates': float('nan')}, {'decisions': 'many'},
+    {'decisions': [], 'episodes': True, 'updates': float('inf')}])
+def test_whatever_a_model_says_of_its_training_its_run_is_shown(folder, training):
+    study = load_study(Path(write(seeds=[5], about='\ud800', set={'run_decisions': 400})))
+    run = driven(study, folder / 'out', **training)
+    (run.folder / 'run.json').write_text('{"complete": true, "wall_seconds": NaN}')
+    outcome = outcome_of(run, StudySettings(laps=3))
+    assert outcome.figures == {'episodes': 2.0, 'decisions': 200.0, 'minutes': 0.0} | (
+        {'episodes': 2.0} if training.get('episodes') == 2 else {})
+    write_page(study, study.arms, [outcome], folder / 'page')
+    json.loads((folder / 'page' / 'which.json').read_text(), parse_constant=pytest.fail)
+
+
+def test_a_run_without_a_return_is_not_done(folder):
+    run = driven(load_study(Path(write(seeds=[5]))), folder / 'out')
+    assert outcome_of(run, StudySettings(laps=0)).scores == 2.0
+    (run.folder / 'episodes.csv').write_text('episode,decisions,train_reward\n0,100,\n')
+    outcome = outcome_of(run, StudySettings(laps=0))
+    assert outcome.state != DONE and 'no episode ended' in outcome.problem
 
 
 def test_words_of_a_study_stay_in_their_cells(folder):
@@ -269,9 +324,11 @@ def test_a_search_draws_from_its_space_and_goes_on_with_the_same(folder):
     small = Search(search_of(space={'double': [True, False]}), folder / 'small')
     (folder / 'small').mkdir()
     assert [small.draw({}) is None for _ in range(4)] == [False, False, True, True]
-    (folder / 'search.json').write_text('{"format": "carracing_dqn search 1", "trials": [{}]}')
-    with pytest.raises(StudyError, match='trials of another search'):
-        Search(search_of(), folder)
+    for trials in ('[{}]', '{}', '""', 'null', '[[]]'):
+        (folder / 'search.json').write_text(
+            f'{{"format": "carracing_dqn search 1", "trials": {trials}}}')
+        with pytest.raises(StudyError, match='trials of another search'):
+            Search(search_of(), folder)
 
 
 def test_optuna_chooses_by_what_earlier_trials_earned(folder):
@@ -353,6 +410,12 @@ def test_the_permutation_test_counts_every_way():
     assert permutation_p(three, three) == 1.0
     many = np.arange(12.0)[:, None]
     assert permutation_p(many, many + 30) < 0.001
+    # rounding of large returns makes no way rarer than it is
+    random = np.random.default_rng(0)
+    for scale in (1.0, 1e6, 1e12):
+        for _ in range(20):
+            some, more = random.normal(size=(2, 3, 4))
+            assert permutation_p(scale * some, scale * (more + 20)) == pytest.approx(2 / 20)
 
 
 def test_no_page_names_this_machine():

@@ -2,15 +2,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """A bag that is watched: wound and stepped, in a terminal, and as a page in a real browser."""
 import asyncio
+import contextlib
 import http.client
 import json
 import shutil
+import socket
 import time
 
 from bag_cases import record_drive
 from bags.errors import BagError
 from carracing_dqn.watch.bag_source import BagSource
-from carracing_dqn.watch.page import MAX_BODY, MAX_STREAMS, Page
+from carracing_dqn.watch import page as page_module
+from carracing_dqn.watch.page import MAX_BODY, MAX_CONNECTIONS, MAX_STREAMS, Page
 from carracing_dqn.watch.screen import Screen
 from graph_probe import carracing, wait_for
 from msgs_bridge.errors import BridgeError
@@ -79,6 +82,35 @@ def test_it_steps_from_image_to_image_and_is_wound(source):
     wait_for(lambda: shown(source)['notice'] == 'the end of the bag', 20, 'the end')
     assert {'episode_return', 'speed'} <= shown(source)['plots'].keys()
     assert shown(source)['rejected'] == 0
+    # it goes on from its beginning
+    source.act('rate', 0.01)
+    wait_for(lambda: stamp(source) > first + 0.5, 5, 'the last picture')
+    source.act('pause', False)
+    wait_for(lambda: shown(source)['picture'] and stamp(source) < first + 0.5, 5, 'once more')
+    assert shown(source)['notice'] == 'playing' and not shown(source)['playing']['paused']
+
+
+@pytest.mark.parametrize('error', [
+    BagError('chunk 3 is damaged'), OSError(5, 'Input/output error'), IndexError('odd')])
+def test_why_a_bag_ends_before_its_end_is_said(source, monkeypatch, error):
+    messages = source._reader.messages
+
+    def damaged(*arguments):
+        for number, message in enumerate(messages(*arguments)):
+            if number == 30:
+                raise error
+            yield message
+
+    monkeypatch.setattr(source._reader, 'messages', damaged)
+    source.act('rate', 100.0)
+    source.act('seek', 0.0)
+    source.act('pause', False)
+    why = str(error) if isinstance(error, BagError) else repr(error)
+    wait_for(lambda: shown(source)['notice'] == why, 10, 'why')
+    # what is whole is shown all the same
+    monkeypatch.setattr(source._reader, 'messages', messages)
+    source.act('pause', False)
+    wait_for(lambda: shown(source)['notice'] == 'the end of the bag', 20, 'the end')
 
 
 @pytest.mark.parametrize(('name', 'value'), [
@@ -180,6 +212,41 @@ def test_streams_are_bounded_and_end_with_the_page(page):
     streams.pop().close()
     # one that has gone gives its place to the next
     wait_for(lambda: _opens(place), 10, 'a place')
+
+
+def test_many_or_slow_connections_keep_nobody_out_for_long(page, monkeypatch):
+    monkeypatch.setattr(page_module, 'SOCKET_SECONDS', 3.0)
+    host, _, port = page.url.removeprefix('http://').rstrip('/').partition(':')
+    slow = [socket.create_connection((host, int(port)), timeout=20)
+            for _ in range(MAX_CONNECTIONS + 9)]
+    most, until = 0, time.monotonic() + 5.0
+    try:
+        while time.monotonic() < until:
+            most = max(most, len(page._server.ends_at))
+            # a byte now and then is no request
+            for one in slow:
+                with contextlib.suppress(OSError):
+                    one.send(b'G')
+            time.sleep(0.1)
+        wait_for(lambda: not page._server.ends_at, 5, 'that they are cut')
+        assert MAX_CONNECTIONS / 2 < most <= MAX_CONNECTIONS
+        assert ask(page, 'GET', '/')[0] == 200
+    finally:
+        for one in slow:
+            one.close()
+
+
+def test_a_picture_that_goes_meanwhile_does_not_end_a_stream(page, source, monkeypatch):
+    monkeypatch.setattr(source.state, 'pixels', lambda *_: None)
+    place = page.url.removeprefix('http://').rstrip('/')
+    stream = http.client.HTTPConnection(place, timeout=10)
+    stream.request('GET', '/events')
+    answer = stream.getresponse()
+    for _ in range(2):
+        line = answer.readline()
+        assert 'data' not in json.loads(line.removeprefix(b'data: '))['picture']
+        answer.readline()
+    stream.close()
 
 
 def _opens(place):

@@ -3,13 +3,17 @@
 """A graph of real nodes that is watched: seen whole, commanded, and not disturbed."""
 import os
 
-from carracing_dqn.watch.live_node import LiveSource
+from carracing_dqn.watch import live_node
+from carracing_dqn.watch.live_node import LiveSource, MAX_SUBSCRIPTIONS
 from graph_probe import wait_for
 from msgs_bridge import topics
 from msgs_bridge.errors import SettingsError
 import pytest
+from rcl_interfaces.msg import ParameterValue
+from rcl_interfaces.srv import GetParameters
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import String
+from std_srvs.srv import SetBool
 
 
 @pytest.fixture
@@ -111,3 +115,70 @@ def test_what_others_publish_does_not_end_it(graph, source):
     wait_for(heard, 60, 'what is wrong')
     wait_for(lambda: shown(source, graph)['rejected'] > 5, 20, 'that it is counted')
     assert source._thread.is_alive()
+
+
+def test_an_answer_that_is_none_keeps_no_other_from_coming(graph, source):
+    def parameters(_, answer):
+        answer.values = [ParameterValue(type=99)]
+        return answer
+
+    def enable(request, answer):
+        answer.message = f'enabled {request.data}'
+        return answer
+
+    space = f'/{graph.namespace}'
+    graph.probe.create_service(GetParameters, 'odd/get_parameters', parameters)
+    graph.probe.create_service(SetBool, 'odd/enable', enable)
+    graph.spin_until(lambda: source.failed, 20, 'an answer that is none')
+    failed = source.failed
+    source.act('enable', True, space)
+    graph.spin_until(lambda: source.state.notice == 'enable: enabled True', 20, 'the next answer')
+    graph.spin(1.0)
+    assert source.failed <= failed + 1 and not source._pending
+
+
+def test_a_car_is_heard_among_many_topics_of_others(graph, source):
+    qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+    for number in range(MAX_SUBSCRIPTIONS + 5):
+        graph.probe.create_publisher(String, f'a_{number:03d}', qos)
+    graph.spin_until(lambda: len(source._ears) == MAX_SUBSCRIPTIONS, 30, 'the others')
+    # what comes later is no less the car's
+    step = graph.publisher(topics.STEP)
+
+    def heard():
+        step.publish(b'\x00\x01\x00\x00')
+        graph.spin(0.05)
+        return any(topic['name'] == f'/{graph.namespace}/step' and topic['age'] is not None
+                   for topic in shown(source, graph)['topics'])
+
+    wait_for(heard, 30, 'the car')
+    assert len(source._ears) == MAX_SUBSCRIPTIONS
+
+
+def test_a_topic_that_cannot_be_heard_anew_leaves_the_others(graph, source, monkeypatch):
+    words = graph.probe.create_publisher(String, 'words', 10)
+    name, other = f'/{graph.namespace}/words', f'/{graph.namespace}/other'
+    graph.spin_until(lambda: name in source._ears, 30, 'words')
+
+    def heard(publisher, topic):
+        publisher.publish(String(data='x'))
+        graph.spin(0.05)
+        seen = {one['name']: one['age'] for one in shown(source, graph)['topics']}
+        return seen.get(topic) is not None and seen[topic] < 1.0
+
+    wait_for(lambda: heard(words, name), 20, 'a word')
+    listen = source._listen
+
+    def fail(name, *rest):
+        if name.endswith('words'):
+            raise RuntimeError('too many open files')
+        return listen(name, *rest)
+
+    monkeypatch.setattr(source, '_listen', fail)
+    graph.spin_until(lambda: name not in source._ears, 30, 'that it is deaf')
+    others = graph.probe.create_publisher(String, 'other', 10)
+    wait_for(lambda: heard(others, other), 30, 'another topic')
+    monkeypatch.setattr(live_node, 'REFUSED_SECONDS', 0.0)
+    monkeypatch.setattr(source, '_listen', listen)
+    source._refused.clear()
+    wait_for(lambda: heard(words, name), 30, 'a word again')

@@ -9,8 +9,10 @@ from bag_cases import bundle, image, serialized, stamp_of, TYPES, twist
 from carracing_dqn.watch import causes, painting
 from carracing_dqn.watch.car import MAX_SMALL_BYTES
 from carracing_dqn.watch.graph_parts import End, Misfit, RATE_SECONDS, Topic, TopicEnds
-from carracing_dqn.watch.series import KEPT_SECONDS, MAX_NAMES, SeriesTable
-from carracing_dqn.watch.state import MAX_CARS, MAX_NODES, MAX_TOPICS, WatchState
+from carracing_dqn.watch.series import KEPT_SECONDS, MAX_NAMES, QUIET_SECONDS, SeriesTable
+from carracing_dqn.watch.state import (
+    cars_first, MAX_CARS, MAX_NODES, MAX_TOPICS, WatchState,
+)
 from msgs_bridge.bars import share_between
 from msgs_bridge.step import Step
 from msgs_bridge.topics import CMD_VEL, DIAGNOSTICS, IMAGE, Q_VALUES, STEP, TOPICS, WEIGHTS
@@ -346,6 +348,33 @@ def test_nothing_that_comes_ends_it_and_everything_is_bounded():
     assert len(state.cars) <= MAX_CARS and '\\u001b' not in text
 
 
+def test_what_has_gone_or_is_made_up_keeps_no_room_from_what_is_there():
+    state = WatchState('test')
+    for number in range(2 * MAX_CARS):
+        # cars come and go
+        state.see_graph([], {f'/car_{number}/step': ends(STEP, SIMULATOR)}, float(number))
+    assert f'/car_{number}' in state.cars and len(state.cars) <= MAX_CARS
+    state.see_graph([], GRAPH, now := 50.0)
+    for number in range(2 * MAX_NODES):
+        state.take('/diagnostics', DIAGNOSTICS.type_name, health(f'camera: part {number}'), now)
+    state.take('/diagnostics', DIAGNOSTICS.type_name, health(''), now)
+    state.see_graph(NODES, GRAPH, now)
+    assert set(NODES) <= set(state.nodes) and len(state.nodes) <= MAX_NODES
+    assert '' not in state.nodes
+    state.take_parameters(POLICY, {'wait_for_subscribers': 2})
+    state.see_graph((SIMULATOR,), GRAPH, now + 1000)
+    assert POLICY not in state.nodes and POLICY not in state.parameters
+
+
+def test_topics_of_a_car_come_before_those_of_everybody_else():
+    others = {f'/a/{number}': ('sensor_msgs/msg/PointCloud2',) for number in range(999)}
+    shown = cars_first({
+        **others, '/front/picture': (IMAGE.type_name,), '/robot/step': (STEP.type_name,),
+        '/image_raw': (IMAGE.type_name,), '/diagnostics': (DIAGNOSTICS.type_name,)})
+    assert shown[:4] == ['/diagnostics', '/image_raw', '/robot/step', '/front/picture']
+    assert len(shown) == 1003
+
+
 def test_no_name_from_outside_is_more_than_a_name():
     state, now = WatchState('test'), 5.0
     evil = '\x1b]0;OWNED\x07'
@@ -393,6 +422,17 @@ def test_series_are_bounded_in_names_and_time_and_go_back_with_a_bag():
     assert 0 < len(points) <= KEPT_SECONDS and points[-1] == (1.0, 899.0)
     table.add(5.0, {'x': 1.0})
     assert table.points('x', 5.0) == [(0.0, 1.0)]
+
+
+def test_made_up_names_of_numbers_keep_no_room_from_those_that_come():
+    table = SeriesTable()
+    table.add(0.0, {f'{number}': 1.0 for number in range(2 * MAX_NAMES)})
+    table.add(1.0, {'speed': 1.0, '0': 1.0})
+    assert table.points('speed', 1.0) == []
+    for at in (QUIET_SECONDS + 0.5, QUIET_SECONDS + 1.0):
+        table.add(at, {'speed': 1.0, '0': 1.0})
+    assert len(table.points('speed', at)) == 2 and len(table.points('0', at)) == 4
+    assert len(table) == MAX_NAMES
 
 
 def test_rates_come_from_the_publishers_numbers_and_fall_when_it_stops():

@@ -20,12 +20,13 @@ from typing import Any
 from carracing_dqn.evaluation.errors import EvaluationError, ResultsError
 from carracing_dqn.evaluation.kept_laps import keep_laps
 from carracing_dqn.evaluation.lap_series import drive_laps
-from carracing_dqn.evaluation.laps import Lap
+from carracing_dqn.evaluation.laps import Lap, picture_name
 from carracing_dqn.evaluation.policies import MODEL, parse_policy, PolicySource
 from carracing_dqn.evaluation.progress import summary_table
 from carracing_dqn.evaluation.results import (
     locked, Results, resume, RUNS, write_csv, write_json,
 )
+from carracing_dqn.evaluation.sources import simulator_source
 from carracing_dqn.evaluation.through_graph import drive_laps_through_graph, RunGraph
 from carracing_dqn.evaluation.workers import limit_torch_threads
 from carracing_dqn.simulation import find_simulator, simulator_names
@@ -116,11 +117,13 @@ def _drive(
     """Drive the laps that are still to be driven; return the exit code."""
     seeds = range(arguments.seed, arguments.seed + arguments.episodes)
     simulator = 'graph' if arguments.through_graph else arguments.simulator
-    results = resume(arguments.json, identity, simulator, seeds)
+    results = resume(arguments.json, identity, simulator, seeds,
+                     simulator_source(arguments.simulator))
     results.wanted = len(seeds)
     results.machine = describe_machine()
     limit_torch_threads()
     todo = [seed for seed in seeds if seed not in results.laps]
+    _check_kept(arguments, results, todo)
 
     if len(todo) < len(seeds):
         say(console, f'{len(seeds) - len(todo)} of {len(seeds)} laps are in {arguments.json} '
@@ -223,6 +226,8 @@ def _check(arguments: argparse.Namespace) -> None:
             f'--action-repeat is {arguments.action_repeat}; accepted: 0 to {MOST_REPEATS}')
     if arguments.action_repeat and (arguments.through_graph or arguments.policy != MODEL):
         raise EvaluationError('--action-repeat is for models that are driven in process')
+    if arguments.device != 'cpu' and (arguments.through_graph or arguments.policy != MODEL):
+        raise EvaluationError('--device is for models that are driven in process')
     if arguments.through_graph and arguments.simulator not in CARRACING:
         raise EvaluationError(f'--through-graph drives in CarRacing, and not in '
                               f'{arguments.simulator}')
@@ -239,6 +244,20 @@ def _check(arguments: argparse.Namespace) -> None:
     if arguments.json is not None and arguments.csv is not None and (
             os.path.realpath(arguments.json) == os.path.realpath(arguments.csv)):
         raise EvaluationError(f'--json and --csv are both {arguments.csv}; name two files')
+
+
+def _check_kept(arguments: argparse.Namespace, results: Results, todo: list[int]) -> None:
+    """Raise EvaluationError where laps that are kept already lack what is asked of them."""
+    another = 'and only laps that are driven give one; name another --json'
+    if arguments.bag is not None and not todo:
+        raise EvaluationError(f'--bag: all laps are in {arguments.json} already, {another}')
+    if arguments.pictures is not None:
+        bare = [seed for seed in results.laps
+                if not (arguments.pictures / picture_name(seed)).exists()]
+        if bare:
+            raise EvaluationError(
+                f'--pictures: {len(bare)} of the laps in {arguments.json} have none in '
+                f'{arguments.pictures}, {another}')
 
 
 def _check_place(path: Path) -> None:

@@ -11,6 +11,10 @@ from carracing_dqn.evaluation.progress import LapProgress
 from carracing_dqn.evaluation.results import Results
 from rich.console import Console
 
+# a writing of thousands of laps takes longer than that, and then a tenth of the time at most
+QUICK_SECONDS = 0.1
+PAUSE = 9
+
 
 def keep_laps(
     laps: Generator[Lap], results: Results, console: Console, write: Callable[[], None],
@@ -22,22 +26,29 @@ def keep_laps(
         laps: yields them as they end; closed at the end.
         results: what is there already; takes the laps and the time that they take.
         console: shows how far they are.
-        write: keeps the results; called after each lap, and at the end.
+        write: keeps the results; called after each lap unless that takes long, and at the end.
     """
     spent, started = results.seconds, time.monotonic()
+    next_at = started
     try:
         with LapProgress(results.ordered, results.wanted, console) as progress:
             for lap in laps:
                 results.laps[lap.seed] = lap
-                results.seconds = spent + time.monotonic() - started
-                write()
+                now = time.monotonic()
+                results.seconds = spent + now - started
+                if now >= next_at:
+                    write()
+                    took = time.monotonic() - now
+                    next_at = 0.0 if took < QUICK_SECONDS else now + (1 + PAUSE) * took
                 progress.add(lap)
         # when nothing was left to drive, a file may still have been asked for
         write()
-    except KeyboardInterrupt:
-        # it may have come in the middle of a writing
+    except BaseException as error:
+        # it may have come in the middle of a writing, or before the next one
         write()
-        return True
+        if isinstance(error, KeyboardInterrupt):
+            return True
+        raise
     finally:
         laps.close()
     return False

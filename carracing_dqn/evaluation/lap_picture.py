@@ -6,7 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from carracing_dqn.evaluation import figure_style as style
-from carracing_dqn.evaluation.laps import Lap, Policy
+from carracing_dqn.evaluation.laps import Lap, picture_name, Policy
 from carracing_dqn.evaluation.statistics import STOPPED_FRAMES
 from carracing_dqn.evaluation.trajectory import drive_trajectory, Trajectory
 from carracing_dqn.simulation import make_simulator
@@ -104,7 +104,7 @@ def drive_and_draw(
 ) -> Lap:
     """Drive a lap in a simulator and write `lap_SEED.png` into a folder; raises OSError."""
     trajectory = drive_trajectory(simulator, policy, seed)
-    write_bytes(Path(folder) / f'lap_{seed}.png',
+    write_bytes(Path(folder) / picture_name(seed),
                 style.image_bytes(lap_picture(trajectory), 'png'))
     return trajectory.lap
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 import dataclasses
-import math
 import time
 from typing import Any, Protocol
 
@@ -13,6 +12,7 @@ from carracing_dqn.evaluation.errors import EvaluationError, PolicyError
 from carracing_dqn.simulation.checks import Checks
 from carracing_sim_node.controls import command_of
 from msgs_bridge.simulator import Simulator
+from msgs_bridge.step import MAX_WHOLE
 from msgs_bridge.twists import Command
 import numpy as np
 
@@ -64,14 +64,20 @@ class Lap:
     seconds: float = dataclasses.field(default=0.0, compare=False)
 
 
+def picture_name(seed: int) -> str:
+    """Return how the file of the picture of a lap is called."""
+    return f'lap_{seed}.png'
+
+
 def lap_of(
     seed: int, episode_return: float, frames: int, info: Mapping[str, float], seconds: float,
 ) -> Lap:
     """Return a lap with what the info of its last frame says, as far as that can be."""
     kinds = {'tiles_visited': int, 'tiles_total': int, 'lap_finished': bool, 'left_field': bool,
              'standing_still': int}
+    # a file of laps holds no larger whole number; written so that NaN fails
     values = {name: kind(info[name]) for name, kind in kinds.items()
-              if name in info and math.isfinite(info[name])}
+              if name in info and abs(info[name]) <= MAX_WHOLE}
     # a simulator that says nonsense of its tiles says nothing of them
     if not 0 <= values.get('tiles_visited', -1) <= values.get('tiles_total', 0) != 0:
         values = {name: value for name, value in values.items() if 'tiles' not in name}
@@ -101,7 +107,8 @@ def drive_lap(
     """
     started = time.perf_counter()
     world = getattr(simulator, 'world', None)
-    if watch is not None and world is None:
+    # somebody's simulator may have a world of its own
+    if watch is not None and not (hasattr(world, 'car') and hasattr(world, 'road')):
         raise EvaluationError(
             f'a {type(simulator).__name__} has no track to look at; CarRacing has')
     look_every = looks_every(policy) if simulator.draws_on_request else 1
@@ -122,6 +129,7 @@ def drive_lap(
         total += float(outcome.reward)
         if watch is not None:
             watch(world, float(outcome.reward))
+    checks.episode_return(total)
     return lap_of(seed, total, frames, outcome.info, time.perf_counter() - started)
 
 
@@ -141,7 +149,7 @@ def checked_command(answer: Any) -> Command:
     """
     try:
         values = tuple(map(float, answer))
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         values = ()
     # written so that NaN fails: every comparison with it is False
     if len(values) == 2 and all(-1.0 <= value <= 1.0 for value in values):

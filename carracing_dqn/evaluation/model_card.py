@@ -17,7 +17,7 @@ from carracing_dqn.evaluation.records import load_run, Run
 from carracing_dqn.evaluation.results import Results
 from carracing_dqn.simulation.profiles import profile_of
 from dqn_policy_node.model_folder import load_model, Model
-from msgs_bridge.atomic_write import write_text
+from msgs_bridge.atomic_write import write_bytes
 from msgs_bridge.errors import BridgeError
 from msgs_bridge.exit_codes import ERROR
 from msgs_bridge.last_line import say
@@ -206,7 +206,8 @@ def main(folders: list[str]) -> int:
     """Write the cards of model folders; return the exit code."""
     try:
         for path in map(Path, folders):
-            write_text(path / CARD, model_card(path))
+            # a record may hold halves of signs, which no file can
+            write_bytes(path / CARD, model_card(path).encode('utf-8', 'replace'))
     except (BridgeError, OSError) as error:
         say(f'error: {plain(error, CELL)}')
         return ERROR

@@ -13,10 +13,13 @@ import sys
 from typing import Any
 
 from carracing_dqn.evaluation.errors import PolicyError
+from carracing_dqn.evaluation.laps import checked_command
+from carracing_dqn.evaluation.sources import module_source
 from dqn_policy_node.shipped_models import RANDOM
 from msgs_bridge import blame
 from msgs_bridge.plain_text import plain
 from msgs_bridge.simulator import FRAME_SECONDS
+from msgs_bridge.twists import Command
 
 MODEL = 'model'
 # the folders of a run folder that hold a model, the one to evaluate first
@@ -34,24 +37,27 @@ class Custom:
     def __init__(self, made: Any, name: str) -> None:
         """Take an object with `act(frame)`, or a function of the frame, and its name."""
         self._made, self._name = made, name
-        self._act = made.act if hasattr(made, 'act') else made
-        self.action_repeat = getattr(made, 'action_repeat', 1)
+        with _blamed(name, 'act'):
+            self._act = made.act if hasattr(made, 'act') else made
+        with _blamed(name, 'action_repeat'):
+            self.action_repeat = max(1, int(getattr(made, 'action_repeat', 1)))
 
     def reset(self, seed: int | None = None) -> None:
         """Pass the reset on, with the seed if the policy takes one."""
-        reset = getattr(self._made, 'reset', None)
-        if reset is None:
-            return
         with _blamed(self._name, 'reset'):
+            reset = getattr(self._made, 'reset', None)
+            if reset is None:
+                return
             if inspect.signature(reset).parameters:
                 reset(seed)
             else:
                 reset()
 
-    def act(self, frame: Any) -> Any:
-        """Return what the policy answers to a frame."""
+    def act(self, frame: Any) -> Command:
+        """Return the command that the policy answers to a frame."""
         with _blamed(self._name, 'act'):
-            return self._act(frame)
+            # an answer may fail when it is looked at, too
+            return checked_command(self._act(frame))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -156,7 +162,8 @@ class PolicySource:
             return {'kind': RANDOM, 'name': RANDOM, 'action_set': DUMMY_SPACE.name,
                     'action_repeat': 1}
         self.open()
-        return {'kind': 'custom', 'name': self.kind}
+        return {'kind': 'custom', 'name': self.kind,
+                'source_sha256': module_source(self.kind.partition(':')[0])}
 
 
 def model_source(model: str, device: str = 'cpu') -> PolicySource:
@@ -216,7 +223,10 @@ def _made_by(text: str) -> Any:
     except PolicyError as error:
         raise PolicyError(f'cannot import {module_name!r}: {error}') from None
     for part in name.split('.'):
-        if not hasattr(value, part):
+        with _blamed(text, 'its import'):
+            # a module may import what it offers only now
+            found = hasattr(value, part)
+        if not found:
             raise PolicyError(f'policy {text!r}: {module_name} has no {name!r}')
         value = getattr(value, part)
     if hasattr(value, 'act') and not isinstance(value, type):

@@ -12,15 +12,17 @@ from pathlib import Path
 from typing import Any
 
 from carracing_dqn.evaluation.errors import RecordsError, ResultsError
+from carracing_dqn.evaluation.policies import MODEL
 from carracing_dqn.evaluation.results import read_json, Results
 from carracing_dqn.evaluation.tables import read_table, Table
-from carracing_dqn.simulation.profiles import found_from
+from carracing_dqn.simulation.profiles import found_from, SUFFIX
 from carracing_dqn.simulation.registry import CARRACING, DEFAULT
 from dqn_policy_node.model_record import read_model_record
 from dqn_policy_node.shipped_models import RANDOM
 from msgs_bridge.errors import BridgeError
 from msgs_bridge.plain_text import plain
 from msgs_bridge.regular_file import read_regular
+from msgs_bridge.simulator import FRAME_SECONDS
 from msgs_bridge.yaml_text import load_yaml
 
 EPISODE_COLUMNS = (
@@ -156,9 +158,8 @@ def add_results(run: Run, path: Path | str, *, dummy: bool | None = None) -> Non
         run.dummy = results
     else:
         run.evaluation = results
-        if _other_weights(run, results):
-            run.problems.append(f'{Path(path).name} holds laps of other weights than those in '
-                                f'{run.model.name}.')
+        if other := _other_driver(run, results):
+            run.problems.append(f'{Path(path).name} holds laps {other}.')
 
 
 def _same_simulator(run: Run, results: Results) -> bool:
@@ -168,16 +169,27 @@ def _same_simulator(run: Run, results: Results) -> bool:
     if run.in_carracing or in_carracing:
         return run.in_carracing and in_carracing
     # a profile has another path from elsewhere
-    return Path(results.simulator).stem == Path(run.simulator).stem
+    own, other = (Path(name).stem if name.endswith(SUFFIX) else name
+                  for name in (run.simulator, results.simulator))
+    return own == other
 
 
-def _other_weights(run: Run, results: Results) -> bool:
-    """Return whether laps are known to be of others than the weights of the run's model."""
-    own = results.policy.get('weights_sha256')
+def _other_driver(run: Run, results: Results) -> str:
+    """Return by whom laps are known to be driven, other than the model of a run; '' for none."""
+    if results.policy.get('kind', MODEL) != MODEL:
+        return f'of {plain(results.policy.get("name"))}, not of the model of this run'
+    weights, held = (results.policy.get(name) for name in ('weights_sha256', 'action_repeat'))
+    if run.model is None or weights is None:
+        return ''
     with contextlib.suppress(BridgeError):
-        return run.model is not None and own is not None and (
-            read_model_record(run.model).weights_sha256 != own)
-    return False
+        own = read_model_record(run.model)
+        if own.weights_sha256 != weights:
+            return f'of other weights than those in {run.model.name}'
+        learned = round(own.description.action_seconds / FRAME_SECONDS)
+        if held not in (None, learned):
+            return (f'in which actions were held for {plain(held)} frames; the model was trained '
+                    f'with {learned}')
+    return ''
 
 
 def _read_evaluations(run: Run, folders: set[Path]) -> None:

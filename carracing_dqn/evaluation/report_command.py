@@ -21,6 +21,7 @@ from carracing_dqn.evaluation.policies import MODEL, PolicySource
 from carracing_dqn.evaluation.records import add_results, load_run, Run
 from carracing_dqn.evaluation.report_page import lap_pictures, make_pictures, markdown, render
 from carracing_dqn.evaluation.results import locked, Results, resume, RUNS, write_json
+from carracing_dqn.evaluation.sources import simulator_source
 from carracing_dqn.evaluation.trajectory import drive_trajectory, Trajectory
 from carracing_dqn.evaluation.workers import limit_torch_threads
 from carracing_dqn.simulation import make_simulator
@@ -157,7 +158,7 @@ def _drive_dummy(run: Run, path: Path, console: Console) -> Results:
 def _dummy_laps(path: Path, simulator: str, seeds: range, console: Console) -> Results:
     """Return laps of the dummy agent; those that the file lacks are driven."""
     source = PolicySource(RANDOM)
-    dummy = resume(path, source.identity(), simulator, seeds)
+    dummy = resume(path, source.identity(), simulator, seeds, simulator_source(simulator))
     todo = [seed for seed in seeds if seed not in dummy.laps]
     if not todo:
         return dummy

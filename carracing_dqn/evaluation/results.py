@@ -19,15 +19,15 @@ from carracing_dqn.evaluation.policies import MODEL
 from carracing_dqn.evaluation.statistics import Statistics, statistics_of
 from msgs_bridge.atomic_write import write_text
 from msgs_bridge.file_lock import lock
+from msgs_bridge.plain_text import plain
 from msgs_bridge.regular_file import read_regular
+from msgs_bridge.step import MAX_WHOLE
 
 FORMAT = 'carracing_dqn evaluation 1'
 MAX_BYTES = 64 * 2**20
 # where commands write what belongs to no run
 RUNS = Path('runs')
 COLUMNS = tuple(field.name for field in dataclasses.fields(Lap))
-# whole numbers up to here are exact in a float64
-MOST = 2**53
 _KINDS = {'int': (int,), 'float': (int, float), 'int | None': (int, type(None)),
           'bool | None': (bool, type(None))}
 
@@ -40,6 +40,7 @@ class Results:
     Attributes:
         policy: `PolicySource.identity()`.
         simulator: name of the simulator; 'graph' when they were driven over topics.
+        simulator_source: `sources.simulator_source`, '' where that is not known.
         laps: by seed.
         wanted: how many laps were asked for.
         seconds: wall time spent on them, all processes together taken once.
@@ -52,6 +53,7 @@ class Results:
     wanted: int = 0
     seconds: float = 0.0
     machine: dict[str, Any] = dataclasses.field(default_factory=dict)
+    simulator_source: str = ''
 
     @property
     def ordered(self) -> list[Lap]:
@@ -69,6 +71,7 @@ class Results:
             'format': FORMAT,
             'policy': self.policy,
             'simulator': self.simulator,
+            'simulator_source': self.simulator_source,
             'wanted': self.wanted,
             'complete': len(self.laps) >= self.wanted,
             'seconds': round(self.seconds, 3),
@@ -113,28 +116,51 @@ def read_json(path: Path | str) -> Results:
         laps = [_lap(row) for row in values['laps']]
         if len({lap.seed for lap in laps}) < len(laps):
             raise ValueError('a seed comes twice')
-        return Results(
-            policy=dict(values['policy']), simulator=str(values['simulator']),
-            laps={lap.seed: lap for lap in laps}, wanted=int(values['wanted']),
-            seconds=float(values['seconds']), machine=dict(values['machine']))
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        found = Results(
+            policy=values['policy'], simulator=values['simulator'],
+            laps={lap.seed: lap for lap in laps}, wanted=values['wanted'],
+            seconds=values['seconds'], machine=values['machine'],
+            simulator_source=values.get('simulator_source', ''))
+        for name, kinds in (
+            ('policy', (dict,)), ('machine', (dict,)), ('simulator', (str,)),
+            ('simulator_source', (str,)), ('wanted', (int,)), ('seconds', (int, float)),
+        ):
+            value = getattr(found, name)
+            if type(value) not in kinds or name in ('wanted', 'seconds') and not (
+                    0 <= value <= MAX_WHOLE):
+                raise TypeError(f'{name} is {plain(value)}')
+        return found
+    except (KeyError, TypeError, ValueError) as error:
         raise ResultsError(f'{path} is damaged: {type(error).__name__} {error}') from None
 
 
-def resume(path: Path | str, policy: dict[str, Any], simulator: str, seeds: range) -> Results:
+def resume(
+    path: Path | str, policy: dict[str, Any], simulator: str, seeds: range,
+    simulator_source: str = '',
+) -> Results:
     """
     Return what a file holds already of an evaluation, or empty results without a file.
+
+    Args:
+        path: the file.
+        policy: `PolicySource.identity()`.
+        simulator: its name.
+        seeds: of the laps.
+        simulator_source: `sources.simulator_source`, '' to compare none.
 
     Raises:
         ResultsError: the file is damaged, or its laps are of another evaluation.
     """
-    empty = Results(policy, simulator)
+    empty = Results(policy, simulator, simulator_source=simulator_source)
     if not Path(path).exists():
         return empty
     found = read_json(path)
     advice = 'name another file, or delete it'
+    # older files do not say it
+    known = bool(found.simulator_source and simulator_source)
     for what, theirs, ours in (
         ('simulator', found.simulator, simulator),
+        ('simulator_source', known and found.simulator_source, known and simulator_source),
         *((key, found.policy.get(key), policy.get(key))
           # a model is known by its weights, whatever its folder is called
           for key in sorted(found.policy.keys() | policy.keys())
@@ -158,8 +184,8 @@ def _lap(row: Any) -> Lap:
     for field in dataclasses.fields(Lap):
         value = row[field.name]
         # written so that NaN fails: every comparison with it is False
-        if type(value) not in _KINDS[field.type] or not abs(value or 0) <= MOST:
-            raise TypeError(f'{field.name} is {value!r}')
+        if type(value) not in _KINDS[field.type] or not abs(value or 0) <= MAX_WHOLE:
+            raise TypeError(f'{field.name} is {plain(value)}')
         values[field.name] = float(value) if field.type == 'float' else value
     visited, total = values['tiles_visited'], values['tiles_total']
     if values['frames'] < 1 or (visited, total) != (None, None) and (

@@ -3,6 +3,7 @@
 """CSV files read as columns of numbers, also while they are being written."""
 from __future__ import annotations
 
+from array import array
 import csv
 import dataclasses
 import io
@@ -12,7 +13,8 @@ from carracing_dqn.evaluation.errors import RecordsError
 from msgs_bridge.regular_file import read_regular
 import numpy as np
 
-MAX_BYTES = 256 * 2**20
+MAX_BYTES = 64 * 2**20
+MAX_COLUMNS = 1000
 # no count and no return comes near to it, and axes of more overflow
 LARGEST = 1e15
 
@@ -57,41 +59,56 @@ def read_table(path: Path, expected: tuple[str, ...]) -> tuple[Table, list[str]]
     if not path.exists():
         return Table(), [f'{path.name} is not there.']
     try:
-        text = read_regular(path, MAX_BYTES, RecordsError).decode('utf-8', 'replace')
+        data = read_regular(path, MAX_BYTES, RecordsError)
     except RecordsError as error:
         return Table(), [f'{path.name} was not read: {str(error).removeprefix(f"{path}: ")}.']
-    if not text.strip():
+    if not data.strip():
         return Table(), [f'{path.name} is empty.']
-    unfinished = not text.endswith('\n')
+    # a row at a time: as lists of texts all of them take thirty times the bytes of the file
+    reader = csv.reader(io.TextIOWrapper(
+        io.BytesIO(data.replace(b'\0', b'')), 'utf-8', 'replace', newline=''))
     try:
-        header, *rows = list(csv.reader(io.StringIO(text.replace('\0', ''))))
+        header = next(reader)
+        if len(header) > MAX_COLUMNS:
+            return Table(), [f'{path.name} has {len(header)} columns; accepted: {MAX_COLUMNS}.']
+        numbers = [array('d') for _ in header]
+        odd, strange, last = 0, [0] * len(header), None
+        for row in reader:
+            if last is not None:
+                odd += not _take(last, numbers, strange)
+            last = row
+        problems = []
+        if last is not None and not data.endswith(b'\n'):
+            # somebody is writing it, or was stopped while doing so: the last row may be half a row
+            problems.append(f'{path.name} ends in the middle of a row, which was left out.')
+        elif last is not None:
+            odd += not _take(last, numbers, strange)
     except csv.Error as error:
         return Table(), [f'{path.name} is not a CSV file: {error}.']
-    problems = []
-    if unfinished and rows:
-        # somebody is writing it, or was stopped while doing so: the last row may be half a row
-        rows.pop()
-        problems.append(f'{path.name} ends in the middle of a row, which was left out.')
-    whole = [row for row in rows if len(row) == len(header)]
-    if len(whole) < len(rows):
-        problems.append(
-            f'{path.name}: {_rows(len(rows) - len(whole))} with another number of cells than '
-            'the header left out.')
-    columns = {
-        name: np.array([_number(row[place]) for row in whole], dtype=float)
-        for place, name in enumerate(header)}
-    for name, column in columns.items():
-        strange = sum(
-            1 for row, value in zip(whole, column)
-            if np.isnan(value) and row[header.index(name)].strip())
-        if strange and name in expected:
-            problems.append(f'{path.name}: {_rows(strange)} in which {name} is no number.')
+    if odd:
+        problems.append(f'{path.name}: {_rows(odd)} with another number of cells than the header '
+                        'left out.')
+    columns = {name: np.array(column) for name, column in zip(header, numbers)}
+    problems += [f'{path.name}: {_rows(count)} in which {name} is no number.'
+                 for name, count in zip(header, strange) if count and name in expected]
     missing = [name for name in expected if name not in columns]
     if missing:
         problems.append(f'{path.name} has no column {", ".join(missing)}.')
-    if not whole:
+    rows = len(numbers[0]) if numbers else 0
+    if not rows:
         problems.append(f'{path.name} has no row yet.')
-    return Table(columns, len(whole)), problems
+    return Table(columns, rows), problems
+
+
+def _take(row: list[str], numbers: list[array], strange: list[int]) -> bool:
+    """Put a row into the columns, and count what is no number; False if it does not fit."""
+    if len(row) != len(numbers):
+        return False
+    for place, cell in enumerate(row):
+        value = _number(cell)
+        numbers[place].append(value)
+        strange[place] += value != value and bool(cell.strip())
+    return True
 
 
 def _rows(count: int) -> str:

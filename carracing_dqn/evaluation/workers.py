@@ -16,6 +16,7 @@ from typing import Any, TypeVar
 
 from carracing_dqn.evaluation.errors import EvaluationError
 from msgs_bridge.errors import BridgeError
+from msgs_bridge.plain_text import plain
 
 Job = TypeVar('Job')
 Result = TypeVar('Result')
@@ -41,8 +42,8 @@ def run_jobs(
 
     Raises:
         EvaluationError: a process died.
-        BridgeError: what `make_worker` or a job raised; anything else they raise comes as the
-            text of an EvaluationError.
+        BridgeError, OSError, MemoryError: what `make_worker` or a job raised; anything else they
+            raise comes as the text of an EvaluationError.
     """
     jobs = list(jobs)
     before = set(multiprocessing.active_children())
@@ -85,12 +86,14 @@ def _work(make_worker: Callable[[], Callable[[Any], Any]], job: Any) -> Any:
             _worker = make_worker()
             limit_torch_threads()
         return _worker(job)
-    except BridgeError:
+    except (BridgeError, OSError, MemoryError):
         raise
-    except (Exception, SystemExit):
-        # as text: not every exception can be sent, and its traceback never is
+    except (Exception, SystemExit) as error:
+        # as text: not every exception can be sent, and its traceback never is; the cause first,
+        # because a long text is cut
         raise EvaluationError(
-            f'a process that drove laps failed:\n{traceback.format_exc().rstrip()}') from None
+            f'a process that drove laps failed: {type(error).__name__}: {plain(error, 300)}\n'
+            f'{traceback.format_exc().rstrip()}') from None
 
 
 def limit_torch_threads() -> None:

@@ -20,6 +20,7 @@ import time
 from carracing_dqn.evaluation.lap_series import drive_laps
 from carracing_dqn.evaluation.policies import model_source
 from carracing_dqn.evaluation.results import resume, write_json
+from carracing_dqn.evaluation.sources import simulator_source
 from carracing_dqn.evaluation.workers import limit_torch_threads
 from carracing_dqn.simulation.profiles import found_from
 from carracing_dqn.studies.errors import StudyError
@@ -84,6 +85,11 @@ def learned(run: RunFolder) -> bool:
     return run.read_record().get('complete') is True and run.final.is_dir()
 
 
+def tested(run: RunFolder, model: str) -> Path:
+    """Return the folder of the model of a run that is tested, FINAL or BEST."""
+    return run.best if model == BEST and run.best.is_dir() else run.final
+
+
 def drive_tests(
     folder: Path, settings: Hyperparameters, seeds: range, model: str, stop: Stop,
 ) -> None:
@@ -94,12 +100,14 @@ def drive_tests(
         BridgeError: the model or the file cannot be used.
     """
     run = RunFolder(folder)
-    source = model_source(str(run.best if model == BEST and run.best.is_dir() else run.final))
-    results = resume(folder / LAPS, source.identity(), settings.simulator, seeds)
+    source = model_source(str(tested(run, model)))
+    simulator = found_from(settings.simulator, folder)
+    results = resume(folder / LAPS, source.identity(), settings.simulator, seeds,
+                     simulator_source(simulator))
     results.wanted, results.machine = len(seeds), describe_machine()
     todo = [seed for seed in seeds if seed not in results.laps]
     spent, started = results.seconds, time.monotonic()
-    laps = drive_laps(source, todo, simulator=found_from(settings.simulator, folder))
+    laps = drive_laps(source, todo, simulator=simulator)
     for number, lap in enumerate(laps, 1):
         results.laps[lap.seed] = lap
         if number % LAPS_KEPT == 0 or number == len(todo) or stop():

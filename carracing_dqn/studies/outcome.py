@@ -9,12 +9,11 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
-from carracing_dqn.evaluation.errors import ResultsError
 from carracing_dqn.evaluation.laps import Lap
 from carracing_dqn.evaluation.results import read_json
 from carracing_dqn.evaluation.statistics import moving_average, Statistics, statistics_of
-from carracing_dqn.evaluation.tables import read_table, Table
-from carracing_dqn.studies.one_run import LAPS, learned, PLAN
+from carracing_dqn.evaluation.tables import LARGEST, read_table, Table
+from carracing_dqn.studies.one_run import LAPS, learned, PLAN, tested
 from carracing_dqn.studies.schedule import FAILURE
 from carracing_dqn.studies.study_file import PlannedRun, StudySettings
 from dqn_policy_node.model_record import read_model_record
@@ -99,15 +98,14 @@ def outcome_of(run: PlannedRun, settings: StudySettings, problem: str = '') -> O
         problem = run.problem or problem
         return _nothing(run, FAILED if problem else NOT_BEGUN, problem)
     episodes, _ = read_table(folder.episodes, ())
-    laps = _laps(run.folder, settings)
-    done = learned(folder) and len(laps) == settings.laps and (laps or episodes.rows)
+    training, laps = _column(episodes, 'train_reward'), _laps(folder, settings)
+    done = learned(folder) and len(laps) == settings.laps and bool(laps or len(training))
     problem = '' if done else problem or _failure(run.folder)
-    if learned(folder) and not settings.laps and not episodes.rows:
+    if learned(folder) and not settings.laps and not len(training):
         problem = problem or 'no episode ended, and without laps it is judged by those'
     state = DONE if done else FAILED if problem else UNFINISHED
     return Outcome(run, state, problem, _curve(episodes, settings.curve),
-                   laps if done else {}, _column(episodes, 'train_reward'),
-                   _figures(folder, episodes))
+                   laps if done else {}, training, _figures(folder, episodes))
 
 
 def _is_of(run: PlannedRun) -> bool:
@@ -123,11 +121,14 @@ def _nothing(run: PlannedRun, state: str, problem: str) -> Outcome:
     return Outcome(run, state, problem, Curve(empty, empty), {}, empty, {})
 
 
-def _laps(folder: Path, settings: StudySettings) -> dict[int, Lap]:
+def _laps(folder: RunFolder, settings: StudySettings) -> dict[int, Lap]:
+    """Return the laps that the study asks for, driven with the weights that it asks for."""
     seeds = range(settings.test_seed, settings.test_seed + settings.laps)
-    with contextlib.suppress(ResultsError):
-        laps = read_json(folder / LAPS).laps
-        return {seed: laps[seed] for seed in seeds if seed in laps}
+    with contextlib.suppress(BridgeError):
+        found = read_json(folder.path / LAPS)
+        own = read_model_record(tested(folder, settings.model)).weights_sha256
+        if found.policy.get('weights_sha256') == own:
+            return {seed: found.laps[seed] for seed in seeds if seed in found.laps}
     return {}
 
 
@@ -163,10 +164,12 @@ def _figures(folder: RunFolder, episodes: Table) -> dict[str, float]:
     updates, _ = read_table(folder.updates, ())
     if len(values := _column(updates, 'q_mean')):
         found['q_mean'] = float(values[-1])
-    seconds = folder.read_record().get('wall_seconds')
-    found['minutes'] = seconds / 60 if isinstance(seconds, float) else 0.0
-    return {**figures, **{name: float(value) for name, value in found.items()
-                          if isinstance(value, (int, float))}}
+    found['wall_seconds'] = folder.read_record().get('wall_seconds')
+    # a record is anybody's JSON
+    figures.update({name: float(value) for name, value in found.items()
+                    if type(value) in (int, float) and abs(value) <= LARGEST})
+    figures['minutes'] = figures.pop('wall_seconds', 0.0) / 60
+    return figures
 
 
 def scores_of(outcomes: Sequence[Outcome]) -> np.ndarray:

@@ -61,7 +61,8 @@ def write_page(
         figure = draw(by_arm, study.settings.curve, _score(study))
         write_bytes(folder / f'{study.name}.png', image_bytes(figure, 'png'))
         path = folder / f'{study.name}.md'
-        write_text(path, _markdown(study, arms, by_arm, list(notes)))
+        # what a study says of itself may hold halves of signs, which no file can
+        write_bytes(path, _markdown(study, arms, by_arm, list(notes)).encode('utf-8', 'replace'))
     except OSError as error:
         raise StudyError(f'{error.filename or folder}: {error.strerror}') from None
     return path

@@ -118,7 +118,7 @@ class Schedule:
                     start_new_session=True,
                     env={**os.environ, **dict.fromkeys(THREAD_VARIABLES, '1')})
         except OSError as error:
-            return f'{error.filename}: {error.strerror}'
+            return f'{error.filename or run.folder}: {error.strerror}'
         except BridgeError as error:
             return plain(error, MAX_REASON)
         self._running.append(_Running(run, process))

@@ -191,7 +191,7 @@ class Search:
         try:
             record = json.loads(read_regular(self._path, MAX_BYTES, StudyError))
             trials = record['trials'] if record['format'] == FORMAT else None
-            if not all(self._could_be(values) for values in trials):
+            if not isinstance(trials, list) or not all(map(self._could_be, trials)):
                 raise ValueError
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
             raise StudyError(f'{self._path} holds trials of another search; delete it, or name '

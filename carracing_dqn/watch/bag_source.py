@@ -14,7 +14,7 @@ from bags.reader import BagReader
 from carracing_dqn.watch.car import IMAGE_TYPES
 from carracing_dqn.watch.commands import BAG_COMMANDS
 from carracing_dqn.watch.graph_parts import End, TopicEnds
-from carracing_dqn.watch.state import MAX_TOPICS, WatchState
+from carracing_dqn.watch.state import cars_first, MAX_TOPICS, WatchState
 from msgs_bridge.errors import BridgeError
 from msgs_bridge.plain_text import plain
 from msgs_bridge.stamps import NANOSECONDS
@@ -42,8 +42,9 @@ class BagSource:
         """
         self._reader = BagReader(path)
         self.state = WatchState(f'bag {plain(Path(path).name)}')
-        self._ends = {name: _ends(topic)
-                      for name, topic in list(self._reader.topics.items())[:MAX_TOPICS]}
+        topics = self._reader.topics
+        names = cars_first({name: (topic.type_name,) for name, topic in topics.items()})
+        self._ends = {name: _ends(topics[name]) for name in names[:MAX_TOPICS]}
         self._images = {name for name, ends in self._ends.items()
                         if ends.type_name in IMAGE_TYPES}
         self._lock = threading.Lock()
@@ -52,7 +53,7 @@ class BagSource:
         # stepping goes on until an image has come and the next one waits
         self._stepping = paused
         self._image_came = self._image_waits = False
-        self._wound = self._back = False
+        self._wound = self._back = self._ended = False
         self._wake = threading.Event()
         self._closing = threading.Event()
         self._playback = self._new_playback()
@@ -76,6 +77,9 @@ class BagSource:
         if name == 'pause':
             self._paused = value
             self._playback.pause(value)
+            if self._ended and not value:
+                # once more
+                self._wind(0.0)
             self.state.say('paused' if value else 'playing')
         elif name == 'step':
             self._paused = self._stepping = True
@@ -125,14 +129,17 @@ class BagSource:
                 start, back, self._back = self._begin_at, self._back, False
             self.state.forget(everything=back)
             self.state.see_graph((), self._ends, self.now())
+            why = 'the end of the bag'
             try:
                 self._playback.play(self._messages(start))
-            except BridgeError as error:
-                self.state.say(str(error))
+            except Exception as error:
+                # of a damaged file, or of one that cannot be read any more
+                why = str(error) if isinstance(error, BridgeError) else repr(error)
             if not self._wound and not self._closing.is_set():
-                self._paused = True
-                self.state.say('the end of the bag')
+                self._paused = self._ended = True
+                self.state.say(why)
                 self._wake.wait()
+                self._ended = False
 
     def _messages(self, start: int) -> Iterator[BagMessage]:
         """Yield what is to be played, and let it through as far as a step goes."""

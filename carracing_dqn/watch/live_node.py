@@ -17,7 +17,7 @@ from typing import Any
 from carracing_dqn.watch.car import IMAGE_TYPES, TWIST_TYPES
 from carracing_dqn.watch.commands import calls, COMMANDS
 from carracing_dqn.watch.graph_parts import End, Misfit, TopicEnds
-from carracing_dqn.watch.state import MAX_TOPICS, WatchState
+from carracing_dqn.watch.state import cars_first, MAX_TOPICS, WatchState
 from dqn_policy_node.settings import PolicySettings
 from msgs_bridge import matching
 from msgs_bridge.adaptive_subscription import PolledGroup
@@ -46,6 +46,8 @@ IMAGE_DEPTH, DEPTH, LATCHED_DEPTH, HEALTH_DEPTH = 2, 50, 20, 100
 MAX_SUBSCRIPTIONS = 60
 # a subscription that has heard and hears no more is made anew once; seconds
 DEAF_SECONDS = 5.0
+# a topic that could not be heard is tried again: the machine may have lacked something
+REFUSED_SECONDS = 30.0
 # of the graph itself, and of no use to who looks at a car
 LEFT_OUT = ('/rosout', '/parameter_events')
 LATCHED = frozenset(topic.name for topic in TOPICS if topic.latched and topic.depth > 1)
@@ -93,7 +95,8 @@ class LiveSource(ListeningNode):
         self._full_name = self._node.get_fully_qualified_name()
         self._ears: dict[str, Ear] = {}
         self._group = PolledGroup()
-        self._refused: set[tuple[str, str]] = set()
+        # until when
+        self._refused: dict[tuple[str, str], float] = {}
         self._asked: queue.SimpleQueue[tuple[str, Any, str | None]] = queue.SimpleQueue()
         self._pending: list[tuple[str, Any, float]] = []
         self._clients: dict[tuple[str, type], Any] = {}
@@ -120,6 +123,8 @@ class LiveSource(ListeningNode):
         self._executor.spin_once(timeout_sec=POLL_SECONDS)
         now = self.now()
         if now >= self._graph_at:
+            # one look that fails is not made again at once, so that messages are taken meanwhile
+            self._graph_at = now + GRAPH_SECONDS
             self._look_at_graph(now)
             # of a graph of hundreds of topics it takes a while, and not more than a tenth of it
             after = self.now()
@@ -142,8 +147,9 @@ class LiveSource(ListeningNode):
         names = matching.as_known(matching.topics_of, node)
         services = set(matching.as_known(matching.services_of, node))
         found: dict[str, tuple[TopicEnds, list[TopicEndpointInfo]]] = {}
-        shown = sorted(name for name in names if name not in LEFT_OUT and not any(
-            part.startswith('_') for part in name.split('/')))
+        shown = cars_first({name: types for name, types in names.items()
+                            if name not in LEFT_OUT and not any(
+                                part.startswith('_') for part in name.split('/'))})
         for name in shown[:MAX_TOPICS]:
             publishers, subscriptions = (
                 [end for end in find(node, name) if matching.full_name(end) != self._full_name]
@@ -152,12 +158,16 @@ class LiveSource(ListeningNode):
                 found[name] = _ends(publishers, subscriptions), publishers
         self.state.see_graph(
             map(plain, nodes), {name: ends for name, (ends, _) in found.items()}, now, services)
+        # it is painted only if somebody takes it
+        heard = [name for name, (_, publishers) in found.items()
+                 if publishers and name.rpartition('/')[2] != IMAGE_ANNOTATED.name]
+        del heard[MAX_SUBSCRIPTIONS:]
         for name in list(self._ears):
-            if name not in found or not found[name][1] or (
-                    self._ears[name].type_name != found[name][0].type_name):
+            if name not in heard or self._ears[name].type_name != found[name][0].type_name:
                 self._node.destroy_subscription(self._ears.pop(name).subscription)
-        for name, (ends, publishers) in found.items():
-            self._follow(name, ends, publishers, now)
+        self._refused = {key: until for key, until in self._refused.items() if now < until}
+        for name in heard:
+            self._follow(name, *found[name], now)
         if now >= self._parameters_at:
             self._parameters_at = now + PARAMETER_SECONDS
             self._ask_parameters(services)
@@ -173,15 +183,12 @@ class LiveSource(ListeningNode):
             # a reader of Fast DDS may go deaf after a flood; one that stands still costs nothing
             if ear.heard_at is not None and not ear.renewed and (
                     now - ear.heard_at > DEAF_SECONDS):
-                self._node.destroy_subscription(ear.subscription)
-                self._ears[name] = self._listen(name, ear.type_name, publishers, now)
-                self._ears[name].renewed = True
+                self._node.destroy_subscription(self._ears.pop(name).subscription)
+                self._listen_if_possible(name, ends, publishers, now)
+                if name in self._ears:
+                    self._ears[name].renewed = True
             return
-        if name.rpartition('/')[2] == IMAGE_ANNOTATED.name:
-            # it is painted only if somebody takes it
-            return
-        if not publishers or len(self._ears) >= MAX_SUBSCRIPTIONS or (
-                (name, ends.type_name) in self._refused):
+        if (name, ends.type_name) in self._refused:
             return
         if not all(self._may_listen_to(end.node, now) for end in ends.publishers) and (
                 ends.type_name != DIAGNOSTICS.type_name):
@@ -190,11 +197,17 @@ class LiveSource(ListeningNode):
                 not ends.subscriptions):
             # who sends them says that nobody hears them
             return
+        self._listen_if_possible(name, ends, publishers, now)
+
+    def _listen_if_possible(
+        self, name: str, ends: TopicEnds, publishers: list[TopicEndpointInfo], now: float,
+    ) -> None:
+        """Subscribe to a topic; what cannot be heard is left alone for a while."""
         try:
             self._ears[name] = self._listen(name, ends.type_name, publishers, now)
         except Exception as error:
             # of what the wire names anything may be wrong, and rcl and DDS raise as they like
-            self._refused.add((name, ends.type_name))
+            self._refused[name, ends.type_name] = now + REFUSED_SECONDS
             if isinstance(error, MessageError):
                 self.state.say(f'{name} is not heard: {error}')
 
@@ -286,17 +299,20 @@ class LiveSource(ListeningNode):
                               self.now() + ANSWER_SECONDS))
 
     def _take_answers(self, now: float) -> None:
-        waiting = []
-        for what, (future, client, names, of), until in self._pending:
+        pending, self._pending = self._pending, []
+        for what, (future, client, names, of), until in pending:
             if future.done():
-                self._answered(what, future.result(), names, of)
+                try:
+                    self._answered(what, future.result(), names, of)
+                except Exception:
+                    # a parameter of a type that there is not, for one
+                    self.failed += 1
             elif now < until:
-                waiting.append((what, (future, client, names, of), until))
+                self._pending.append((what, (future, client, names, of), until))
             else:
                 client.remove_pending_request(future)
                 if not names:
                     self.state.say(f'{what}: no answer')
-        self._pending = waiting
 
     def _answered(self, what: str, answer: Any, names: tuple[str, ...], of: str) -> None:
         if names:

@@ -3,6 +3,7 @@
 // Shows what the stream says. Every text from outside goes in as text, never as markup.
 'use strict';
 
+const RETRY_MS = 3000;
 const chosen = {car: null, plots: null};
 let stream = null;
 let shown = null;
@@ -37,7 +38,24 @@ function connect() {
   for (const name of chosen.plots || []) query.append('plot', name);
   stream = new EventSource(`/events?${query}`);
   stream.onmessage = (event) => show(JSON.parse(event.data));
-  stream.onerror = () => state('not connected', 'bad');
+  const own = stream;
+  stream.onerror = () => {
+    state('not connected', 'bad');
+    // a browser that was refused does not try again by itself
+    setTimeout(() => {
+      if (own === stream && own.readyState === EventSource.CLOSED) connect();
+    }, RETRY_MS);
+  };
+}
+
+// fills a list anew only where it has changed: it may be open
+function fill(list, names, shownAs = (name) => name) {
+  if ([...list.options].map((option) => option.value).join('\n') === names.join('\n')) return;
+  list.replaceChildren(...names.map((name) => {
+    const option = element('option', shownAs(name));
+    option.value = name;
+    return option;
+  }));
 }
 
 function state(text, name) {
@@ -62,13 +80,7 @@ function show(now) {
 function showCars(now) {
   byId('car-label').hidden = now.cars.length < 2;
   const list = byId('car');
-  if (list.options.length !== now.cars.length) {
-    list.replaceChildren(...now.cars.map((name) => {
-      const option = element('option', name || '/');
-      option.value = name;
-      return option;
-    }));
-  }
+  fill(list, now.cars, (name) => name || '/');
   if (document.activeElement !== list) list.value = now.namespace;
 }
 
@@ -182,11 +194,7 @@ function topicRow(topic) {
 
 function showPlots(now) {
   plotted = Object.keys(now.plots);
-  const list = byId('more');
-  if (list.options.length !== now.series.length + 1) {
-    list.replaceChildren(element('option', ''),
-                         ...now.series.map((name) => element('option', name)));
-  }
+  fill(byId('more'), ['', ...now.series]);
   byId('plots').replaceChildren(...Object.entries(now.plots).map(([name, points]) => {
     const plot = element('div', null, 'plot');
     const head = element('div');

@@ -19,6 +19,8 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
 import io
 import json
+import math
+import socket
 import threading
 import time
 from typing import Any
@@ -37,6 +39,8 @@ SEND_SECONDS, PLOT_SECONDS = 0.25, 1.0
 # a browser that takes nothing for so long is left; seconds
 SOCKET_SECONDS = 10.0
 MAX_STREAMS = 8
+# at a time; each has a thread
+MAX_CONNECTIONS = 64
 # of a command
 MAX_BODY = 1024
 FILES = {
@@ -101,7 +105,28 @@ class _Server(ThreadingHTTPServer):
     def __init__(self, *arguments: Any) -> None:
         self.closing = threading.Event()
         self.streams = threading.BoundedSemaphore(MAX_STREAMS)
+        # when each connection is cut
+        self.ends_at: dict[Any, float] = {}
         super().__init__(*arguments)
+
+    def verify_request(self, request: Any, client_address: Any) -> bool:
+        """Take a connection, if there is room for it."""
+        if len(self.ends_at) >= MAX_CONNECTIONS:
+            return False
+        self.ends_at[request] = time.monotonic() + SOCKET_SECONDS
+        return True
+
+    def close_request(self, request: Any) -> None:
+        """Let go of a connection."""
+        self.ends_at.pop(request, None)
+        super().close_request(request)
+
+    def service_actions(self) -> None:
+        """Cut those who take too long over a request, by a byte now and then for one."""
+        for request, end in list(self.ends_at.items()):
+            if time.monotonic() > end:
+                with contextlib.suppress(OSError):
+                    request.shutdown(socket.SHUT_RDWR)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Say nothing: a browser has gone, or sent what is no HTTP."""
@@ -173,6 +198,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._answer(HTTPStatus.SERVICE_UNAVAILABLE)
             return
         try:
+            self.server.ends_at[self.request] = math.inf
             self._head(HTTPStatus.OK, 'text/event-stream')
             # a browser that has gone shows when something is sent to it
             with contextlib.suppress(OSError):
@@ -193,8 +219,11 @@ class _Handler(BaseHTTPRequestHandler):
             shown['commands'] = list(source.commands)
             picture = shown['picture']
             if picture is not None and (shown['namespace'], picture['number']) != number:
-                number = shown['namespace'], picture['number']
-                picture['data'] = picture_url(source.state.pixels(car))
+                pixels = source.state.pixels(car)
+                # a bag that is wound back has none for a moment
+                if pixels is not None:
+                    number = shown['namespace'], picture['number']
+                    picture['data'] = picture_url(pixels)
             wall = time.monotonic()
             if wall < plots_at:
                 del shown['plots'], shown['series']

@@ -3,7 +3,7 @@
 """The state that is watched, of a live graph or of a bag; whoever shows it takes `snapshot`."""
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 import dataclasses
 import math
 import threading
@@ -18,11 +18,13 @@ from carracing_dqn.watch.graph_parts import Node, Topic, TopicEnds
 from msgs_bridge.errors import BridgeError
 from msgs_bridge.health import LEVELS, read_health
 from msgs_bridge.plain_text import plain
-from msgs_bridge.topics import DIAGNOSTICS, WEIGHTS
+from msgs_bridge.topics import DIAGNOSTICS, TOPICS, WEIGHTS
 
 MAX_NODES, MAX_TOPICS, MAX_CARS = 200, 300, 16
 # a message on /diagnostics of more bytes is none
 MAX_HEALTH_BYTES = 1 << 20
+# what topics of ours are called, in whatever namespace
+OURS = frozenset(topic.name.rpartition('/')[2] for topic in TOPICS)
 # a node that has gone is remembered for so long; seconds
 REMEMBERED_SECONDS = 600.0
 # plots that are shown until others are chosen, as far as they are there
@@ -37,6 +39,21 @@ RUNNING, GONE, SILENT, UNKNOWN = 'running', 'gone', 'silent', 'says nothing'
 SILENT_SECONDS = 8.0
 # a watch that has not looked for so long has itself been held up, and heard nobody
 HELD_UP_SECONDS = 2.0
+
+
+def cars_first(topics: Mapping[str, Collection[str]]) -> list[str]:
+    """
+    Return names of topics in the order in which they are taken as far as there is room.
+
+    Args:
+        topics: name -> types.
+    """
+    def place(name: str) -> tuple[int, str]:
+        if name.rpartition('/')[2] in OURS:
+            return 0, name
+        return (1 if {*IMAGE_TYPES, *TWIST_TYPES} & set(topics[name]) else 2), name
+
+    return sorted(topics, key=place)
 
 
 class WatchState:
@@ -82,20 +99,20 @@ class WatchState:
         with self._lock:
             self._began = min(self._began, now)
             for name in nodes:
-                node = self._node(name, now)
+                node = self._node(name, now, listed=True)
                 if node is not None:
                     node.listed_at = now
             for name in [name for name, node in self.nodes.items() if now - max(
                     node.listed_at or node.since, node.heard_at or 0.0) > REMEMBERED_SECONDS]:
-                del self.nodes[name]
+                self._drop(name)
+            for name in self.topics.keys() - topics.keys():
+                del self.topics[name]
             for name, ends in topics.items():
                 if name in self.topics:
                     self.topics[name].ends = ends
                 elif len(self.topics) < MAX_TOPICS and plain(name, MAX_NAME) == name:
                     # it is shown as it is, and so is the namespace in it; DDS takes any bytes
                     self.topics[name] = Topic(name, ends)
-            for name in self.topics.keys() - topics.keys():
-                del self.topics[name]
             self.services = frozenset(services)
             self._assign()
 
@@ -123,9 +140,10 @@ class WatchState:
     def forget(self, *, everything: bool) -> None:
         """Forget what nodes said, because time has jumped; back, then all that came."""
         with self._lock:
-            self.nodes = {}
+            self.nodes, self.parameters = {}, {}
             if everything:
                 self.topics, self.cars, self._roles = {}, {}, {}
+                self._looked_at = self._held_up_at = -math.inf
 
     def look(self, now: float) -> None:
         """Decode what is newest; to be called some times a second."""
@@ -227,10 +245,22 @@ class WatchState:
             return self.cars[namespace]
         return self.cars[min(self.cars)] if self.cars else None
 
-    def _node(self, name: str, now: float) -> Node | None:
-        if name not in self.nodes and len(self.nodes) < MAX_NODES and len(name) <= MAX_NAME:
-            self.nodes[name] = Node(name, now)
-        return self.nodes.get(name)
+    def _node(self, name: str, now: float, *, listed: bool = False) -> Node | None:
+        """Return a node, a new one where there is room; one of the graph makes room."""
+        if name in self.nodes or not 0 < len(name) <= MAX_NAME:
+            return self.nodes.get(name)
+        if len(self.nodes) >= MAX_NODES:
+            # anybody may say anything of any name on /diagnostics
+            others = [one for one in self.nodes.values() if one.listed_at is None]
+            if not (listed and others):
+                return None
+            self._drop(min(others, key=lambda one: one.heard_at or one.since).name)
+        self.nodes[name] = Node(name, now)
+        return self.nodes[name]
+
+    def _drop(self, name: str) -> None:
+        del self.nodes[name]
+        self.parameters.pop(name, None)
 
     def _hear(self, data: bytes, now: float) -> None:
         try:
@@ -242,7 +272,7 @@ class WatchState:
             return
         for said in told:
             node = self._node(said.node, now)
-            if node is None or not said.node:
+            if node is None:
                 continue
             node.hear(said, now)
             space = said.node.rpartition('/')[0]
@@ -271,9 +301,14 @@ class WatchState:
                   if topic.ends.type_name in IMAGE_TYPES]
         if not spaces and images:
             spaces = {''}
-        for space in sorted(spaces):
-            if space not in self.cars and len(self.cars) < MAX_CARS:
-                self.cars[space] = Car(space)
+        for space in sorted(spaces - self.cars.keys()):
+            if len(self.cars) >= MAX_CARS:
+                # those that have gone make room
+                gone = sorted(self.cars.keys() - spaces)
+                if not gone:
+                    break
+                self.rejected += self.cars.pop(gone[0]).rejected
+            self.cars[space] = Car(space)
         self._roles = {}
         for space, car in self.cars.items():
             for role in ROLES:
