@@ -5,12 +5,14 @@ import itertools
 import math
 import subprocess
 import sys
+import time
 
 from carracing_dqn.simulation.referee import (
     needed_topics, Path, Place, Pose, Referee, yaw_of,
 )
 from carracing_dqn.simulation.referee_settings import RefereeSettings
 from carracing_dqn.simulation.registry import make_simulator
+from geometry_msgs.msg import Point, Pose as Pose3, PoseStamped
 from msgs_bridge import topics
 from msgs_bridge.errors import MessageError, SimulatorError
 from msgs_bridge.images import fill_image
@@ -18,9 +20,10 @@ from msgs_bridge.named_values import read_named_values
 from msgs_bridge.stamps import NANOSECONDS, set_stamp, to_nanoseconds
 from msgs_bridge.step import read_step
 from msgs_bridge.twists import Command
-from nav_msgs.msg import Odometry
+from nav_msgs.msg import Odometry, Path as NavPath
 import numpy as np
 import pytest
+from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Image
 from std_msgs.msg import Bool, Float32
 from std_srvs.srv import Trigger
@@ -241,6 +244,7 @@ def test_what_is_no_number_and_no_path_is_refused():
             referee.hear_path(points)
     with pytest.raises(MessageError, match='lane_offset is nan'):
         referee.hear_number('lane_offset', math.nan, 0.0)
+    referee.hear_number('lane_offset', -1.0, 0.0)
     with pytest.raises(MessageError, match='not finite'):
         referee.hear_odometry(0, Pose(math.inf, 0.0, 0.0))
 
@@ -267,6 +271,16 @@ def test_a_number_that_cannot_be_spoils_no_more_than_its_frame(settings, odd, to
     assert [one.decision for one in robot.steps] == [0, 1, 2, 3, 4, 6, 7, 8, 9]
 
 
+def test_a_distance_below_0_is_no_goal_that_was_reached():
+    """By -1 many say that they have no goal."""
+    robot = Robot(goal_radius=0.5, goal_reward=50.0)
+    robot.frame(goal=9.0)
+    with pytest.raises(MessageError, match='goal_distance is -1'):
+        robot.frame(goal=-1.0)
+    robot.frame(goal=8.9)
+    assert [one.reward for one in robot.steps] == [0.0, 0.0] and not robot.steps[-1].ended
+
+
 def test_terms_that_are_off_need_no_topic():
     assert needed_topics(RefereeSettings()) == {}
     assert needed_topics(RefereeSettings(collision_ends=True)) == {'collision': 'collision_ends'}
@@ -274,6 +288,7 @@ def test_terms_that_are_off_need_no_topic():
 
 @pytest.mark.parametrize(('parameter', 'told'), [
     ('collision_penalty:=-1.0', 'collision_penalty is -1.0; accepted: 0'),
+    ('goal_reward:=50.0', 'goal_reward is 50, which nothing earns while goal_radius is 0'),
     ('lane:=line', "lane is 'line'"), ('colision_ends:=true', "did you mean 'collision_ends'"),
     ("reset_service:='no name!'", 'reset_service')])
 def test_a_parameter_that_is_none_ends_the_node_with_one_line(parameter, told):
@@ -367,6 +382,70 @@ def test_stamps_that_say_no_time_are_counted_and_told(graph):
     graph.spin_until(lambda: 'images in a row bear one stamp' in graph.health(
         'referee_node').get('summary', ''), 20, 'told')
     assert len(graph.messages['step']) == 1
+
+
+def test_long_paths_many_times_a_second_leave_time_to_judge(graph):
+    graph.listen(topics.STEP)
+    images, odometry, paths = map(graph.publisher, (topics.IMAGE, topics.ODOMETRY, topics.PATH))
+    graph.node(*REFEREE, progress_weight=10.0)
+    graph.spin_until(lambda: all(one.get_subscription_count() for one in (
+        images, odometry, paths)), 60, 'the referee hears')
+    graph.spin(0.5)
+    path = serialize_message(NavPath(poses=[
+        PoseStamped(pose=Pose3(position=Point(x=number / 10))) for number in range(3000)]))
+    begun = time.monotonic()
+    for number in range(1, 101):
+        stamp = number * FRAME
+        place = Odometry()
+        set_stamp(place.header.stamp, stamp)
+        place.pose.pose.position.x, place.pose.pose.orientation.w = number / 10, 1.0
+        odometry.publish(place)
+        paths.publish(path)
+        images.publish(fill_image(Image(), np.zeros((4, 4, 3), np.uint8), stamp, 'c'))
+        graph.spin(max(0.0, begun + number / 20 - time.monotonic()))
+    assert len(graph.messages['step']) > 60
+
+
+def test_a_camera_that_falls_silent_is_told(graph):
+    graph.listen(topics.STEP, topics.DIAGNOSTICS)
+    graph.node(*REFEREE)
+
+    def told(text):
+        graph.spin_until(lambda: text in graph.health('referee_node').get('summary', ''), 20, text)
+
+    told(f'no image: nobody publishes /{graph.namespace}/image_raw')
+    images = graph.publisher(topics.IMAGE)
+    numbers = itertools.count(1)
+
+    def judged():
+        images.publish(fill_image(
+            Image(), np.zeros((4, 4, 3), np.uint8), next(numbers) * FRAME, 'c'))
+        return graph.health('referee_node').get('summary') == 'judging'
+
+    graph.spin_until(judged, 20, 'it judges')
+    told('no image for')
+
+
+def test_a_camera_that_is_slower_than_the_gap_is_told(graph):
+    graph.listen(topics.STEP, topics.DIAGNOSTICS)
+    images = graph.publisher(topics.IMAGE)
+    graph.node(*REFEREE)
+    graph.spin_until(images.get_subscription_count, 60, 'the referee hears')
+    numbers = itertools.count(1)
+
+    def told():
+        stamp = next(numbers) * NANOSECONDS
+        images.publish(fill_image(Image(), np.zeros((4, 4, 3), np.uint8), stamp, 'c'))
+        return 'sequence_gap, 0.5 s' in graph.health('referee_node').get('summary', '')
+
+    graph.spin_until(told, 20, 'what cuts them off')
+    # once it is judged nothing is said any more
+    robot = Robot()
+    for _ in range(5):
+        robot.frame(gap=NANOSECONDS)
+    assert robot.referee.jumps == 4
+    robot.frame()
+    assert robot.referee.jumps == 0
 
 
 @pytest.fixture

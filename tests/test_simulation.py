@@ -694,3 +694,19 @@ def test_real_time_lets_go_of_a_stale_twist_and_takes_plain_ones():
     assert [step.info['angular'] for step in held[4:]] == [0.0] * 4
     assert held[0].applied == stream.frames[0].stamp and held[-1].applied is None
     assert stream.counts['stale_twists'] == 1 and 'coasting' in stream.warnings[0]
+
+
+@pytest.mark.parametrize(('kind', 'values'), [
+    (RealTime, {'stale_after': 60.0}), (Lockstep, {'on_timeout': 'hold', 'answer_timeout': 0.1})])
+def test_a_twist_that_is_held_does_not_drive_the_next_episode(kind, values):
+    stream = Stream(kind, **values)
+    stepping = stream.stepping
+    stepping.start()
+    stepping.take(Command(0.5, 0.25), stream.frames[0].stamp)
+    while len({frame.step.episode for frame in stream.frames}) < 3:
+        stream.clock += 0.15
+        stepping.beat()
+    angular = {number: {frame.step.info['angular'] for frame in stream.frames
+                        if frame.step.episode == number and frame.step.decision}
+               for number in range(2)}
+    assert angular == {0: {0.25}, 1: {0.0}}

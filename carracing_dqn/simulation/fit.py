@@ -12,6 +12,8 @@ import numpy as np
 
 from carracing_dqn.simulation.picture_motion import turned_left
 from msgs_bridge import topics
+from msgs_bridge.images import ENCODINGS
+from msgs_bridge.picture_parts import Crop, parse_crop
 from msgs_bridge.stamps import NANOSECONDS
 
 GOOD, UNSURE, BAD = 'fits', 'unsure', 'does not fit'
@@ -168,7 +170,9 @@ def _stamps(seen: Seen) -> Finding:
     if not any(seen.stamps):
         return Finding('stamps', UNSURE, 'all are zero: the time of arrival counts',
                        'a camera that stamps its images, if steps are to be joined with them')
-    if len(set(seen.stamps)) == 1 and len(seen.stamps) > 1:
+    if len(seen.stamps) == 1:
+        return Finding('stamps', UNSURE, 'too few images came to tell')
+    if len(set(seen.stamps)) == 1:
         return Finding('stamps', UNSURE, 'all are equal: the time of arrival counts',
                        'a camera that stamps its images, if steps are to be joined with them')
     if not _rising(seen.stamps):
@@ -191,21 +195,24 @@ def _size(seen: Seen, wanted: Wanted) -> Finding:
     if seen.sizes != {told}:
         return Finding('size', BAD, f'{sizes}; the profile says {told[0]}x{told[1]}',
                        'the size of the camera, or camera.width and height of the profile')
-    crop = str(wanted.vehicle.get('camera_crop', ''))
+    crop = parse_crop('camera_crop', wanted.vehicle.get('camera_crop', ''))
     if crop and not any(series for _, series in seen.frames):
-        return Finding('size', BAD, f'{sizes}, on which camera_crop {crop} does not fit',
+        text = ','.join(map(str, crop))
+        return Finding('size', BAD, f'{sizes}, on which camera_crop {text} does not fit',
                        "camera_crop:='LEFT,TOP,WIDTH,HEIGHT'")
-    if crop:
-        width, height = map(int, crop.split(',')[2:])
+    part = crop or Crop(0, 0, width, height)
+    across, down = wanted.frame
     if wanted.vehicle.get('camera_turn', '0') in ('90', '270'):
-        width, height = height, width
-    if abs(width * wanted.frame[1] / (height * wanted.frame[0]) - 1) > 0.02:
-        side = min(width / wanted.frame[0], height / wanted.frame[1])
-        keep = round(side * wanted.frame[0]), round(side * wanted.frame[1])
+        # it is cropped before it is turned
+        across, down = down, across
+    if abs(part.width * down / (part.height * across) - 1) > 0.02:
+        side = min(part.width / across, part.height / down)
+        keep = round(side * across), round(side * down)
+        left, top = part.left + (part.width - keep[0]) // 2, part.top + part.height - keep[1]
         return Finding(
             'size', BAD, f'{sizes} is squeezed into {wanted.frame[0]}x{wanted.frame[1]}',
-            f"camera_crop:='{(width - keep[0]) // 2},{height - keep[1]},{keep[0]},{keep[1]}', or "
-            'another part of these proportions')
+            f"camera_crop:='{left},{top},{keep[0]},{keep[1]}', or another part of these "
+            'proportions')
     return Finding('size', GOOD, f'{sizes}, {seen_as}')
 
 
@@ -237,10 +244,21 @@ def _colours(seen: Seen, wanted: Wanted) -> Finding:
         return Finding('colours', GOOD, found)
     said = f'{found}; the profile says {", ".join(f"{value:g}" for value in told)}'
     if np.abs(mean[::-1] - told).max() < min(apart, COLOUR_TOLERANCE):
-        other = 'bgr8' if 'rgb8' in seen.encodings else 'rgb8'
         return Finding('colours', BAD, f'{said}: red and blue are exchanged',
-                       f'camera_encoding:={other}')
+                       f'camera_encoding:={_exchanged(_read_as(seen, wanted))}')
     return Finding('colours', BAD, said, 'exposure or place of the camera, or camera.mean_rgb')
+
+
+def _read_as(seen: Seen, wanted: Wanted) -> str:
+    """Return the encoding by which the images are read now."""
+    said = () if wanted.vehicle.get('camera_compressed') else seen.encodings
+    return wanted.vehicle.get('camera_encoding') or min(ENCODINGS.keys() & said, default='rgb8')
+
+
+def _exchanged(encoding: str) -> str:
+    """Return the encoding of as many channels with red in the place of blue."""
+    channels, (red, green, blue) = ENCODINGS[encoding]
+    return next(name for name, one in ENCODINGS.items() if one == (channels, (blue, green, red)))
 
 
 def _twists(seen: Seen, wanted: Wanted) -> Iterator[Finding]:

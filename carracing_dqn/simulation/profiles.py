@@ -20,6 +20,7 @@ from pathlib import Path
 import re
 from typing import Any
 
+from msgs_bridge import topics
 from msgs_bridge.errors import SettingsError, SimulatorError
 from msgs_bridge.plain_text import plain
 from msgs_bridge.regular_file import read_regular
@@ -74,6 +75,8 @@ def _are_numbers(value: object, length: int) -> bool:
 
 
 # https://design.ros2.org/articles/topic_and_service_names.html
+TOPIC_NAMES = tuple(
+    topic.name for topic in (*topics.TOPICS, *topics.VIEW_TOPICS, *topics.ROBOT_TOPICS))
 TOPIC_NAME = re.compile(r'/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*')
 CAMERA = {
     'width': lambda value: type(value) is int and value > 0,
@@ -82,7 +85,7 @@ CAMERA = {
     'rate': lambda value: _is_number(value) and value > 0,
     'mean_rgb': lambda value: _are_numbers(value, 3),
     'patch': lambda value: _are_numbers(value, 4) and all(
-        type(one) is int and one >= 0 for one in value),
+        type(one) is int and one >= 0 for one in value) and value[2] * value[3] > 0,
     'patch_rgb': lambda value: _are_numbers(value, 3),
 }
 KINDS = {'about': str, 'simulator': str, 'deterministic': bool}
@@ -137,12 +140,19 @@ def load_profile(path: Path) -> Profile:
 
 
 def _check_parts(path: Path, content: dict[str, Any]) -> None:
-    """Raise SettingsError for a module, a remap or a property of the camera that cannot be."""
+    """Raise SettingsError for a part of a profile that cannot be, or that nobody would read."""
+    if not content.get('simulator'):
+        for name in ('settings', 'needs'):
+            if content.get(name):
+                raise SettingsError(f'{path}: {name} are those of a simulator, and it names none; '
+                                    'what drives a robot is set under vehicle')
     for module, install in content.get('needs', {}).items():
         if not (module.isidentifier() and isinstance(install, str)):
             raise SettingsError(f'{path}: needs: {plain(module)} cannot be {plain(install)!r}; '
                                 'accepted: the name of a module, and how to install it')
     for name, topic in content.get('topics', {}).items():
+        if name not in TOPIC_NAMES:
+            raise SettingsError(f'{path}: topics: {unknown_setting(name, TOPIC_NAMES)}')
         if not (isinstance(topic, str) and TOPIC_NAME.fullmatch(topic)):
             raise SettingsError(
                 f'{path}: topics: {plain(name)} cannot be {plain(topic)!r}; accepted: names of '
@@ -176,7 +186,8 @@ def as_simulator(profile: Profile, path: Path, base: type[Simulator]) -> type[Si
             raise SettingsError(f'{path}: settings: {unknown_setting(name, known)}')
         kind, _, description = known[name]
         if kind is str and not isinstance(value, str):
-            value = dump_yaml(value).strip()
+            # after a value without parts YAML writes that the document ends
+            value = dump_yaml(value).removesuffix('...\n').strip()
         try:
             value = check_value(name, kind, description, value)
         except SettingsError as error:

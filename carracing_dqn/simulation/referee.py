@@ -28,7 +28,7 @@ from msgs_bridge.twists import Command
 # messages of odometry and twists that are kept, and frames that wait to be judged
 KEPT = 1000
 MOST_WAITING = 500
-# images of one stamp in a row, from which on it is told that the stamps stand
+# images of one stamp in a row, or that jump, from which on it is told what the stamps do
 MOST_AGAIN = 10
 # characters that tell one frame of coordinates from another
 LONGEST_FRAME_NAME = 40
@@ -166,6 +166,7 @@ class Referee:
         published: names of the topics that somebody publishes; to be kept up to date.
         resetting: whether it waits for `reset_done`.
         again: how many images in a row have come with the stamp of the one before.
+        jumps: how many in a row have cut an episode off by their stamps.
     """
 
     def __init__(self, settings: RefereeSettings) -> None:
@@ -184,7 +185,7 @@ class Referee:
         self._numbers: dict[str, tuple[float, float]] = {}
         # frames of coordinates by topic, '' where none was named
         self._coordinates: dict[str, str] = {}
-        self.again = 0
+        self.again = self.jumps = 0
         self._collided = False
         self._path: Path | None = None
         self.episode = -1
@@ -244,10 +245,10 @@ class Referee:
         Take a lane offset or a distance from the goal in m, at a wall time in s.
 
         Raises:
-            MessageError: not finite.
+            MessageError: not finite, or a distance below 0, by which some say that they know none.
         """
-        if not math.isfinite(value):
-            raise MessageError(f'{topic} is {value}')
+        if not math.isfinite(value) or topic == GOAL and value < 0:
+            raise MessageError(f'{topic} is {value:g}')
         self._numbers[topic] = value, now
 
     def hear_path(self, points: np.ndarray, frame_id: str = '') -> None:
@@ -290,6 +291,7 @@ class Referee:
                 continue
             if self._running and not 0 < stamp - self._sight.stamp <= self._gap:
                 # a robot that somebody else has set back
+                self.jumps += 1
                 found.append(self.cut_off())
                 self._begin_from, self.resetting = None, False
                 continue
@@ -427,6 +429,7 @@ class Referee:
             return None
         self._unanswered += applied is None
         self._sight, self._last = sight, step
+        self.jumps = 0
         if not step.ended:
             return Judgement(sight.stamp, step, None)
         self._running = False

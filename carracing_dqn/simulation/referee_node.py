@@ -23,11 +23,13 @@ import sys
 import time
 
 from carracing_dqn.simulation.referee import (
-    COLLISION, GOAL, Judgement, LANE_OFFSET, MOST_AGAIN, ODOM, Pose, Referee, THE_PATH, yaw_of,
+    COLLISION, GOAL, Judgement, KEPT, LANE_OFFSET, MOST_AGAIN, ODOM, Pose, Referee, THE_PATH,
+    yaw_of,
 )
 from carracing_dqn.simulation.referee_settings import RefereeSettings
 from diagnostic_msgs.msg import DiagnosticStatus
 from msgs_bridge import topics
+from msgs_bridge.adaptive_subscription import AdaptiveSubscription
 from msgs_bridge.errors import MessageError, SettingsError
 from msgs_bridge.named_values import fill_named_values
 from msgs_bridge.node_shell import NodeShell, run_node
@@ -40,6 +42,11 @@ from std_srvs.srv import Trigger
 
 # how often frames that wait for something are looked at again; s
 BEAT_SECONDS = 0.01
+# planners send paths of thousands of points many times a second: after one has been read none is
+# for so many times as long as that took
+PATH_PAUSE = 9.0
+# without an image for so long it is told, s
+SILENCE_SECONDS = 2.0
 
 
 class RefereeNode(NodeShell):
@@ -66,8 +73,10 @@ class RefereeNode(NodeShell):
         # taken with each image, whichever of them the executor would call first
         self._inputs = {
             name: self.subscription(*heard[name], polled=True) for name in self._referee.needed}
+        self._path_again_at = 0.0
         self._twists = self.subscription(topics.CMD_VEL, self._on_twist, polled=True)
-        self.subscription(
+        self._image_at: float | None = None
+        self._images = self.subscription(
             topics.IMAGE, self._on_image,
             type_name=topics.COMPRESSED_TYPE if settings.camera_compressed else None)
         self.create_service(Trigger, '~/reset', self._on_reset)
@@ -91,6 +100,7 @@ class RefereeNode(NodeShell):
             # which says none, as everywhere in ROS
             raise MessageError('an image without a stamp: no frame can be told from another; the '
                                'camera has to stamp them')
+        self._image_at = time.monotonic()
         if self._open:
             self._take_inputs()
             self._referee.see_image(stamp, time.monotonic())
@@ -136,9 +146,20 @@ class RefereeNode(NodeShell):
             self._ask_for_reset()
 
     def _take_inputs(self) -> None:
-        for subscription in (*self._inputs.values(), self._twists):
-            while self.take(subscription):
-                pass
+        for name, subscription in (*self._inputs.items(), (topics.CMD_VEL.name, self._twists)):
+            if name == THE_PATH:
+                self._take_path(subscription)
+                continue
+            # bounded, for messages may come faster than they are taken
+            for _ in range(KEPT):
+                if not self.take(subscription):
+                    break
+
+    def _take_path(self, subscription: AdaptiveSubscription) -> None:
+        before = time.monotonic()
+        if before >= self._path_again_at and self.take(subscription):
+            now = time.monotonic()
+            self._path_again_at = now + PATH_PAUSE * (now - before)
 
     def _send(self, judgement: Judgement) -> None:
         stamp, step, episode = judgement.stamp, judgement.step, judgement.episode
@@ -202,15 +223,32 @@ class RefereeNode(NodeShell):
             told = '; '.join(f'{name}: nobody publishes it, {referee.needed[name]} needs it'
                              for name in unpublished)
             return DiagnosticStatus.WARN, f'not judging: {told}', values
-        if referee.resetting:
+        silence = self._silence()
+        if referee.resetting and not silence:
             return DiagnosticStatus.OK, 'waiting for the reset of the robot', values
         if referee.again >= MOST_AGAIN:
             return DiagnosticStatus.WARN, (
                 f'not judging: {referee.again} images in a row bear one stamp: a camera whose '
                 'stamps stand, or a simulator that waits for its driver'), values
+        if silence:
+            return DiagnosticStatus.WARN, f'not judging: {silence}', values
+        if referee.jumps >= MOST_AGAIN:
+            return DiagnosticStatus.WARN, (
+                f'every image cuts its episode off: {referee.jumps} in a row are later than '
+                f'sequence_gap, {self.settings.sequence_gap:g} s, or go back: a slow camera needs '
+                'a longer one'), values
         if not referee.running:
             return DiagnosticStatus.OK, 'waiting for the next episode', values
         return DiagnosticStatus.OK, 'judging', values
+
+    def _silence(self) -> str:
+        """Return what is to be said of images that do not come; empty while they do."""
+        if not self._images.publishers:
+            return f'no image: nobody publishes {self._images.name}'
+        if self._image_at is None:
+            return 'no image yet'
+        silent = time.monotonic() - self._image_at
+        return f'no image for {silent:.0f} s' if silent > SILENCE_SECONDS else ''
 
 
 def _stamp_of(message: object) -> int:

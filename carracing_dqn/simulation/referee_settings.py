@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 
+from msgs_bridge.errors import SettingsError
 from msgs_bridge.settings import setting
 
 TOPIC, PATH = 'topic', 'path'
@@ -66,3 +67,9 @@ class RefereeSettings:
         0, 'subscriptions of step to wait for before the first episode', low=0, high=100)
     camera_compressed: bool = setting(
         False, 'true: image_raw is a CompressedImage; its stamps are all that is looked at')
+
+    def __post_init__(self) -> None:
+        """Check what concerns two values; raises SettingsError."""
+        if self.goal_reward and not self.goal_radius:
+            raise SettingsError(f'goal_reward is {self.goal_reward:g}, which nothing earns while '
+                                'goal_radius is 0: give goal_radius, how near is there')

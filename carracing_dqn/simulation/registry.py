@@ -81,11 +81,7 @@ def find_simulator(name: str, *, registered_only: bool = False) -> type[Simulato
             raise SimulatorError(f'simulator is {_shown(name)}; accepted: '
                                  f'{", ".join(simulator_names())}; PROFILE.yaml; or module:Class')
         place = name
-        # console scripts, other than `python -m`, do not look into the folder they are called in
-        with contextlib.suppress(OSError):
-            # which may have been removed
-            if os.getcwd() not in sys.path:
-                sys.path.append(os.getcwd())
+        look_here()
     found = _load(place, name)
     missing = [what for what in OWED if not hasattr(found, what)]
     if not isinstance(found, type) or missing:
@@ -94,6 +90,14 @@ def find_simulator(name: str, *, registered_only: bool = False) -> type[Simulato
             'inherit from msgs_bridge.simulator.Simulator')
     _check_settings(found.Settings, name)
     return found
+
+
+def look_here() -> None:
+    """Let modules of the current folder be found: only `python -m` looks there by itself."""
+    # which may have been removed
+    with contextlib.suppress(OSError):
+        if os.getcwd() not in sys.path:
+            sys.path.append(os.getcwd())
 
 
 def make_simulator(name: str, values: Mapping[str, Any] | None = None) -> Simulator:

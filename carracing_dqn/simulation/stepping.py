@@ -220,10 +220,10 @@ class RealTime(Stepping):
         # a stamp of zero says none, as everywhere in ROS: no image has it
         self._advance(command, stamp or None)
 
-    def reset(self) -> tuple[bool, str]:
-        """Begin the next episode at rest."""
+    def _begin(self) -> None:
+        # a twist for one scene drives in no other
         self._held = None
-        return super().reset()
+        super()._begin()
 
     def _go_on(self) -> None:
         """Leave it to the next beat."""
@@ -325,12 +325,16 @@ class Lockstep(Stepping):
         super().hold(held_back)
 
     def reset(self) -> tuple[bool, str]:
-        """Begin the next episode; what was answered before it means nothing any more."""
-        self._answer = self._held = None
+        """Begin the next episode."""
         if self.frame is not None:
             # whose answer may be on its way
             self._final_stamp = self.frame.stamp
         return super().reset()
+
+    def _begin(self) -> None:
+        # what was answered before means nothing any more
+        self._answer = self._held = None
+        super()._begin()
 
     def _awaits(self) -> str:
         return super()._awaits() if self.held_back else 'a twist answers'

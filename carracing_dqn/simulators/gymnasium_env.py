@@ -11,6 +11,7 @@ import re
 from typing import Any, NamedTuple
 
 from carracing_dqn.simulation.checks import let_go_of
+from carracing_dqn.simulation.registry import look_here
 from carracing_dqn.simulators.space_mapping import action_encoder
 import gymnasium
 from msgs_bridge.errors import SimulatorError
@@ -133,7 +134,8 @@ class GymnasiumEnv(Simulator):
         pixels = np.asarray(self._guarded(lambda: self._picture(observation)))
         if pixels.ndim == 2:
             pixels = pixels[:, :, None]
-        if pixels.dtype != np.uint8 or pixels.ndim != 3 or pixels.shape[2] not in (1, 3):
+        if (pixels.dtype != np.uint8 or pixels.ndim != 3 or pixels.shape[2] not in (1, 3)
+                or not pixels.size):
             raise SimulatorError(
                 f'{self.description}: its {self._settings.picture} picture is {pixels.dtype} of '
                 f'shape {pixels.shape}; accepted: uint8 (H, W), (H, W, 1) or (H, W, 3)')
@@ -187,7 +189,8 @@ def _first(batch: Any) -> Any:
         return {name: _first(value) for name, value in batch.items()}
     if isinstance(batch, tuple):
         return tuple(map(_first, batch))
-    return batch[0] if isinstance(batch, np.ndarray) and batch.ndim else batch
+    # arrays of whatever library
+    return batch[0] if getattr(batch, 'ndim', 0) else batch
 
 
 def _make(settings: GymnasiumEnvSettings) -> gymnasium.Env:
@@ -207,18 +210,41 @@ def _make(settings: GymnasiumEnvSettings) -> gymnasium.Env:
         wanted['render_mode'] = RENDER_MODE
     if settings.max_episode_frames:
         wanted['max_episode_steps'] = settings.max_episode_frames
+    if ':' in name:
+        look_here()
     # what it says through its own logger on the way, such as that a newer version exists
     logging.captureWarnings(True)
     try:
-        if settings.vectorized:
-            return _OneOfMany(gymnasium.make_vec(
-                name, num_envs=1, vectorization_mode='sync', vector_kwargs={
-                    'autoreset_mode': gymnasium.vector.AutoresetMode.DISABLED}, **wanted))
-        return gymnasium.make(name, **wanted)
+        make = _make_vector if settings.vectorized else gymnasium.make
+        return make(name, **wanted)
+    except SimulatorError:
+        raise
     except Exception as error:
         # an environment may raise anything, and most of it is a name or an option that is wrong
         raise SimulatorError(
             f'gymnasium.make({plain(name)!r}): {type(error).__name__}: {plain(error)}') from None
+
+
+def _make_vector(name: str, **wanted: Any) -> gymnasium.Env:
+    """Return one copy of a vector environment; raises as `make_vec` does, and SimulatorError."""
+    modes = gymnasium.vector.AutoresetMode
+    try:
+        return _OneOfMany(gymnasium.make_vec(
+            name, num_envs=1, vectorization_mode='sync',
+            vector_kwargs={'autoreset_mode': modes.DISABLED}, **wanted))
+    except gymnasium.error.Error as error:
+        try:
+            many = gymnasium.make_vec(
+                name, num_envs=1, vectorization_mode='vector_entry_point', **wanted)
+        except gymnasium.error.Error:
+            # it is not for want of one of its kind alone
+            raise error from None
+    if many.metadata.get('autoreset_mode') is modes.SAME_STEP:
+        many.close()
+        raise SimulatorError(f'{plain(name)} begins the next episode in the step that ends one '
+                             '(autoreset SAME_STEP), so that no end can be seen: it cannot be '
+                             'driven')
+    return _OneOfMany(many)
 
 
 def _picture_of(env: gymnasium.Env, picture: str) -> Callable[[Any], Any]:

@@ -1,6 +1,6 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
-"""MuJoCo imported where it can draw, and its pictures, without a screen if there is none."""
+"""MuJoCo imported where it can draw, and its pictures, without a screen."""
 from __future__ import annotations
 
 import ctypes.util
@@ -13,6 +13,7 @@ from msgs_bridge.plain_text import plain
 import numpy as np
 
 INSTALL = "pip install 'carracing_dqn[mujoco]' (or pip install mujoco)"
+MEND = 'pip install --force-reinstall mujoco'
 LIBRARIES = 'apt-get install libegl1 libgl1-mesa-dri, or libosmesa6 and MUJOCO_GL=osmesa'
 # nothing of ours casts a shadow, and what is not there takes a third of the time
 LEFT_OUT = ('SHADOW', 'REFLECTION', 'HAZE')
@@ -25,12 +26,14 @@ def load_mujoco() -> ModuleType:
     Raises:
         SimulatorError: it or a library is missing; the line says how to install it.
     """
-    if not os.environ.get('MUJOCO_GL') and not os.environ.get('DISPLAY'):
+    if not os.environ.get('MUJOCO_GL'):
+        # no window is opened, and nobody may answer at the screen that DISPLAY names
         kind = next((kind for kind, library in (('egl', 'EGL'), ('osmesa', 'OSMesa'))
                      if ctypes.util.find_library(library)), None)
-        if kind is None:
+        if kind is not None:
+            os.environ['MUJOCO_GL'] = kind
+        elif not os.environ.get('DISPLAY'):
             raise cannot_draw('no OpenGL')
-        os.environ['MUJOCO_GL'] = kind
     # Mesa in software: to share so few pixels among threads costs more than to draw them
     os.environ.setdefault('LP_NUM_THREADS', '0')
     try:
@@ -38,6 +41,10 @@ def load_mujoco() -> ModuleType:
         _ = mujoco.GLContext
     except ModuleNotFoundError as error:
         raise SimulatorError(f'{error.name} is not installed: {INSTALL}') from None
+    except ImportError as error:
+        # parts of different versions, for one, which no library of the system mends
+        raise SimulatorError(f'MuJoCo cannot be loaded ({plain(error)}): {MEND}; to draw: '
+                             f'{LIBRARIES}') from None
     except Exception as error:
         # OpenGL's loader fails in many ways where its library is missing
         raise cannot_draw(error) from None

@@ -72,10 +72,15 @@ class RawView:
         self._view = TopView(_pixels_of(track), scale, stretch, (0, 0, 0))
         size = [max(round(side / by), 1) for side, by in (
             (car.sizeRect, scale), (car.sizeRect, scale * stretch))]
-        self._sprites = [self._sprite(pictures[NOSE_UP], size)
-                         for pictures in (car.cars, car.cars2)]
         left, top = SIDE // 2 - size[0] // 2, CAR_ROW - size[1] // 2
-        self._place = slice(top, top + size[1]), slice(left, left + size[0])
+        # a car that is seen from near reaches beyond the picture
+        columns = slice(max(left, 0), min(left + size[0], SIDE))
+        rows = slice(max(top, 0), min(top + size[1], SIDE))
+        self._place = rows, columns
+        part = (slice(rows.start - top, rows.stop - top),
+                slice(columns.start - left, columns.stop - left))
+        self._sprites = [tuple(layer[part] for layer in self._sprite(pictures[NOSE_UP], size))
+                         for pictures in (car.cars, car.cars2)]
 
     @staticmethod
     def _sprite(picture: pygame.Surface, size: list[int]) -> tuple[np.ndarray, np.ndarray]:
