@@ -13,9 +13,9 @@ Parameters: `dqn_policy_node/settings.py`.
 
 Behaviour when things go wrong: an image that cannot be used and weights that are older than those
 at work or whose hash, description or values are wrong are counted and logged (throttled), and the
-node goes on as it was; when no image comes for `stale_after`, one zero twist is sent. Only the
-newest image that waits is answered, others are counted. The diagnostics say "driving" only while
-images are answered and somebody hears the twists, else what is missing.
+node goes on as it was; when no image comes for `stale_after`, and at the end, one zero twist is
+sent. Only the newest image that waits is answered, others are counted. The diagnostics say
+"driving" only while images are answered and somebody hears the twists, else what is missing.
 """
 from __future__ import annotations
 
@@ -53,6 +53,8 @@ SILENCE_SECONDS = 2.0
 
 class DqnPolicyNode(NodeShell):
     """The policy as a node; `Pilot` decides when, the policy decides what."""
+
+    has_last_word = True
 
     def __init__(self) -> None:
         """Declare parameters and load the model, or wait for weights."""
@@ -194,6 +196,11 @@ class DqnPolicyNode(NodeShell):
             update.epsilon ** self.settings.epsilon_exponent if self.settings.explore
             else self.settings.epsilon)
         self.counts['weight_swaps'] += 1
+
+    def close(self) -> None:
+        """Let the car stand: a robot may hold the last twist for good."""
+        if self.context.ok():
+            self._halt()
 
     def settings_changed(self) -> None:
         """Take over a new epsilon."""

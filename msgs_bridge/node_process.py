@@ -37,6 +37,8 @@ EXECUTOR_SECONDS = 0.01
 # What a node that ends by itself gives its subscribers: a busy machine may let them wait, and what
 # shared memory did not hold comes with the next heartbeat, every 0.2 s.
 LAST_MESSAGES_SECONDS = 1.0
+# how often a node that has a last word looks whether a signal has come
+LOOK_SECONDS = 0.05
 # from a signal in the middle of a call of rclpy until rclpy knows of it
 SHUTDOWN_SECONDS = 0.2
 
@@ -185,6 +187,26 @@ def _end_on_hangup() -> None:
     threading.Thread(target=pass_on, name='hangup', daemon=True).start()
 
 
+def _signal_without_shutdown() -> Callable[[], bool]:
+    """
+    Keep SIGINT and SIGTERM from ending ROS at once, as rclpy has them do.
+
+    Returns:
+        what tells whether one has come. A second one ends whatever is being done.
+    """
+    came: list[int] = []
+
+    def note(number: int, _: object) -> None:
+        if came:
+            raise KeyboardInterrupt
+        came.append(number)
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, note)
+    return lambda: bool(came)
+
+
 def _spin_to_the_end(make_node: Callable[[], Any], arguments: list[str]) -> bool:
     """Run one node; return whether it has finished its work, and was not stopped by a signal."""
     with told_in_a_line('ROS does not start'):
@@ -195,13 +217,14 @@ def _spin_to_the_end(make_node: Callable[[], Any], arguments: list[str]) -> bool
         node = make_node()
         executor = SingleThreadedExecutor()
         executor.add_node(node)
+        signalled = _signal_without_shutdown() if node.has_last_word else lambda: False
         if node.eager:
             shorten_time_slices()
-            while rclpy.ok():
-                executor.spin_once(timeout_sec=0)
+        while rclpy.ok() and not signalled():
+            executor.spin_once(
+                timeout_sec=0 if node.eager else LOOK_SECONDS if node.has_last_word else None)
+            if node.eager:
                 node.take_eagerly(EXECUTOR_SECONDS)
-        else:
-            executor.spin()
     except Finished:
         return True
     except (KeyboardInterrupt, ExternalShutdownException):

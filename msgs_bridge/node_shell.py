@@ -69,7 +69,11 @@ class NodeShell(Node):
         shell: the values of `ShellSettings`.
         counts: events counted since the start, shown in the diagnostics.
         held_back: whether a learner holds this node back, see `serve_hold`.
+        has_last_word: whether `close` publishes something, for which ROS has to run still when a
+            signal has come.
     """
+
+    has_last_word = False
 
     def __init__(
         self, name: str, settings_class: type | Callable[[dict[str, object]], type],

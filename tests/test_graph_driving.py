@@ -1,6 +1,7 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
 """Simulator and policy as real processes over real DDS."""
+import signal
 import sys
 
 from carracing_dqn.bringup.processes import node_command
@@ -157,6 +158,32 @@ def test_twists_that_cannot_be_used_do_not_move_the_car(graph):
     assert (facts['linear'], facts['angular']) == (1.0, -1.0)
     graph.spin_until(lambda: graph.health('carracing_sim_node').get('clamped_twists') == '1',
                      10, 'the clamped twist is counted')
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize('fast_transport', [True, False])
+def test_a_policy_that_is_ended_lets_the_car_stand(graph, number, fast_transport):
+    """A robot may hold the last twist for good."""
+    graph.listen(topics.CMD_VEL)
+    images = graph.publisher(topics.IMAGE)
+    policy = graph.node(*POLICY, model='random', fast_transport=fast_transport)
+    twists = graph.messages['cmd_vel']
+    stamp = 0
+
+    def drive():
+        nonlocal stamp
+        stamp += 80_000_000
+        images.publish(fill_image(Image(), np.zeros((96, 96, 3), np.uint8), stamp, 'camera'))
+        return len(twists) > 20
+
+    graph.spin_until(drive, 30, 'it drives')
+    policy.signal(number)
+    graph.spin_until(lambda: not to_nanoseconds(twists[-1].header.stamp), 10, 'a last twist')
+    graph.spin_until(lambda: policy.code is not None, 10, 'its end')
+    graph.spin(0.2)
+    last = twists[-1]
+    assert last.header.stamp == type(last.header.stamp)() and last.twist == type(last.twist)()
+    assert policy.code in (0, 130)
 
 
 def test_the_simulator_outlives_its_policy(graph):

@@ -1,16 +1,20 @@
 # Copyright 2026 The carracing_dqn authors
 # SPDX-License-Identifier: Apache-2.0
 """A person drives: keys and joysticks become commands, and the node answers like a policy."""
+import contextlib
+import fcntl
+import itertools
 import os
 import pty
 import signal
 import subprocess
 import termios
-import time
+import types
 
 from carracing_dqn.bringup.processes import node_command
 from carracing_dqn.teleop.hand import joined, Joystick, Keyboard, KEYS, LET_GO
 from carracing_dqn.teleop.settings import TeleopSettings
+from geometry_msgs.msg import Twist
 from msgs_bridge import topics
 from msgs_bridge.errors import MessageError
 from msgs_bridge.stamps import to_nanoseconds
@@ -18,6 +22,7 @@ from msgs_bridge.terminal_keys import DOWN, keys_in, LEFT, RIGHT, UP
 from msgs_bridge.twists import Command, STOP
 import pytest
 from sensor_msgs.msg import Joy
+from std_srvs.srv import SetBool
 
 SETTINGS = TeleopSettings()
 
@@ -119,39 +124,92 @@ def test_images_that_come_faster_than_their_time_are_answered_all_the_same(graph
     assert len(graph.messages['cmd_vel']) > 15
 
 
-def test_keys_of_a_real_terminal_drive_and_the_terminal_is_given_back(graph):
+@pytest.fixture
+def at_a_terminal(graph):
+    """Start the node at a terminal of its own; return how to send it an image, and what it is."""
     graph.listen(topics.CMD_VEL)
     images = graph.publisher(topics.IMAGE)
-    ours, theirs = pty.openpty()
-    before = termios.tcgetattr(theirs)
-    process = subprocess.Popen(
-        node_command('carracing_dqn.teleop.teleop_node', {}, graph.namespace), stdin=theirs,
-        stdout=subprocess.DEVNULL, stderr=subprocess.STDOUT, start_new_session=True,
-        preexec_fn=lambda: _take_terminal(theirs))
-    try:
-        graph.spin_until(images.get_subscription_count, 60, 'the node')
-        image = topics_image()
-        number = 0
+    with contextlib.ExitStack() as stack:
+        ours, theirs = pty.openpty()
+        # a test may close its own end
+        stack.callback(lambda: [os.close(one) for one in (ours, theirs) if _is_open(one)])
 
-        def typed():
-            nonlocal number
-            number += 1
-            image.header.stamp.sec = number
+        def start(*, ignores_hangup=False):
+            process = subprocess.Popen(
+                node_command('carracing_dqn.teleop.teleop_node', {}, graph.namespace),
+                stdin=theirs, stdout=subprocess.DEVNULL, stderr=subprocess.STDOUT,
+                start_new_session=True,
+                preexec_fn=lambda: _take_terminal(theirs, ignores_hangup=ignores_hangup))
+            stack.callback(process.wait)
+            stack.callback(process.kill)
+            graph.spin_until(images.get_subscription_count, 60, 'the node')
+            return process
+
+        image, seconds = topics_image(), itertools.count(1)
+
+        def show():
+            image.header.stamp.sec = next(seconds)
             images.publish(image)
+
+        def drive():
+            show()
             os.write(ours, b'\x1b[Aa')
             return any(one.twist.linear.x > 0.5 and one.twist.angular.z > 0.5
                        for one in graph.messages['cmd_vel'])
 
-        graph.spin_until(typed, 30, 'keys that drive')
-        assert to_nanoseconds(graph.messages['cmd_vel'][-1].header.stamp) % 10**9 == 0
-        process.send_signal(signal.SIGINT)
-        assert process.wait(20) == 0
-        assert termios.tcgetattr(theirs)[3] == before[3]
-    finally:
-        process.kill()
-        process.wait()
-        os.close(ours)
-        os.close(theirs)
+        yield types.SimpleNamespace(start=start, show=show, drive=drive, ends=(ours, theirs))
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_keys_of_a_real_terminal_drive_and_at_the_end_the_car_stands(graph, at_a_terminal, number):
+    before = termios.tcgetattr(at_a_terminal.ends[1])
+    process = at_a_terminal.start()
+    graph.spin_until(at_a_terminal.drive, 30, 'keys that drive')
+    assert to_nanoseconds(graph.messages['cmd_vel'][-1].header.stamp) % 10**9 == 0
+    process.send_signal(number)
+    assert process.wait(20) == 0
+    assert termios.tcgetattr(at_a_terminal.ends[1])[3] == before[3]
+    graph.spin(0.5)
+    last = graph.messages['cmd_vel'][-1]
+    assert last.twist == Twist() and to_nanoseconds(last.header.stamp) == 0
+
+
+def test_keys_of_a_terminal_that_has_gone_count_as_let_go(graph, at_a_terminal):
+    process = at_a_terminal.start(ignores_hangup=True)
+    graph.spin_until(at_a_terminal.drive, 30, 'keys that drive')
+    for one in at_a_terminal.ends:
+        os.close(one)
+
+    def stands():
+        at_a_terminal.show()
+        last = graph.messages['cmd_vel'][-1]
+        return last.header.stamp.sec and last.twist == Twist()
+
+    graph.spin_until(stands, 20, 'it lets go')
+    assert process.poll() is None
+
+
+def test_when_no_image_comes_and_when_it_is_disabled_the_pedal_does_not_stay(graph, at_a_terminal):
+    at_a_terminal.start()
+    graph.spin_until(at_a_terminal.drive, 30, 'keys that drive')
+
+    def stopped():
+        last = graph.messages['cmd_vel'][-1]
+        return last.twist == Twist() and to_nanoseconds(last.header.stamp) == 0
+
+    graph.spin_until(stopped, 20, 'a stop without images')
+    count = len(graph.messages['cmd_vel'])
+    graph.spin(3)
+    assert len(graph.messages['cmd_vel']) == count
+    enable = graph.probe.create_client(SetBool, 'teleop_node/enable')
+    graph.spin_until(enable.service_is_ready, 20, 'the service')
+    for enabled in (False, True):
+        answer = enable.call_async(SetBool.Request(data=enabled))
+        graph.spin_until(answer.done, 20, 'an answer')
+    count = len(graph.messages['cmd_vel'])
+    at_a_terminal.show()
+    graph.spin_until(lambda: len(graph.messages['cmd_vel']) > count, 20, 'an answer')
+    assert graph.messages['cmd_vel'][-1].twist == Twist()
 
 
 def topics_image():
@@ -159,8 +217,14 @@ def topics_image():
     return Image(height=1, width=1, step=3, encoding='rgb8', data=b'\0\0\0')
 
 
-def _take_terminal(file):
+def _is_open(file):
+    with contextlib.suppress(OSError):
+        return bool(os.fstat(file))
+    return False
+
+
+def _take_terminal(file, *, ignores_hangup):
     """Make a terminal the one of a new session."""
-    import fcntl
+    if ignores_hangup:
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
     fcntl.ioctl(file, termios.TIOCSCTTY, 0)
-    time.sleep(0)

@@ -31,8 +31,12 @@ class HandNode(NodeShell):
     """
     Answers images with what a person wants, by a joystick on `joy` and by keys.
 
-    A subclass has the keys: `look_at_keys` and `of_keys`, and says whether they are there.
+    A subclass has the keys: `look_at_keys` and `of_keys`, and says whether they are there. A
+    robot may hold the last twist for good, so that one of zero is sent when no image has come for
+    a while, and at the end.
     """
+
+    has_last_word = True
 
     def __init__(self, name: str, settings_class: type[HandSettings]) -> None:
         """Wait for images."""
@@ -48,11 +52,13 @@ class HandNode(NodeShell):
         # seconds between the last two stamps
         self._step = 0.0
         self._answered_at: float | None = None
+        # whether the last twist let it stand
+        self._halted = True
         self._cmd_vel = self.publisher(
             topics.CMD_VEL,
             type_name=None if settings.cmd_vel_stamped else topics.PLAIN_TWIST_TYPE)
         self._images = self.subscription(
-            topics.IMAGE, self.on_image, newest=True,
+            topics.IMAGE, self.on_image, newest=True, renewed=True,
             type_name=topics.COMPRESSED_TYPE if settings.image_compressed else None)
         self.subscription(topics.JOY, self._on_joy)
         self.create_service(SetBool, '~/enable', self._on_enable)
@@ -64,6 +70,10 @@ class HandNode(NodeShell):
 
     def of_keys(self, now: float) -> Command:
         """Return what the keys want; `now` in s."""
+        raise NotImplementedError
+
+    def let_go(self) -> None:
+        """Let go of all keys."""
         raise NotImplementedError
 
     def keys_are_there(self) -> bool:
@@ -102,6 +112,14 @@ class HandNode(NodeShell):
         now = time.monotonic()
         self.look_at_keys(now)
         self._answer(now)
+        if (not self._halted and self._waiting is None
+                and now - self._answered_at > SILENCE_SECONDS):
+            self._halt()
+
+    def _halt(self) -> None:
+        """Send one zero twist, stamped zero."""
+        self._halted = True
+        self._send(self._stage.stop(), Time())
 
     def wanted(self, now: float) -> Command:
         """Return what the person wants; `now` in s."""
@@ -113,7 +131,7 @@ class HandNode(NodeShell):
             return
         wanted = self.wanted(now)
         gap = 0.0 if self._answered_at is None else now - self._answered_at
-        self._answered_at = now
+        self._answered_at, self._halted = now, False
         self.counts['answers'] += 1
         self._send(self._stage.twist(wanted, gap), self._waiting)
         self._waiting = None
@@ -131,7 +149,9 @@ class HandNode(NodeShell):
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         self._enabled = request.data
         if not self._enabled:
-            self._send(self._stage.stop(), Time())
+            # a pedal that stays would drive on as soon as it is enabled
+            self.let_go()
+            self._halt()
         response.success = True
         response.message = 'enabled' if self._enabled else 'disabled'
         return response
@@ -155,4 +175,4 @@ class HandNode(NodeShell):
     def close(self) -> None:
         """Stop the car."""
         if self.context.ok() and self._answered_at is not None:
-            self._send(self._stage.stop(), Time())
+            self._halt()

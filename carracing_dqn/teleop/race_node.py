@@ -85,6 +85,10 @@ class RaceNode(HandNode):
         """Return what they want."""
         return self._keys.command(now)
 
+    def let_go(self) -> None:
+        """Let go of all keys."""
+        self._keys.release_all()
+
     def keys_are_there(self) -> bool:
         """Return whether there are keys: a window has them."""
         return True

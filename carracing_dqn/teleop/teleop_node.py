@@ -12,14 +12,16 @@ Subscribes: `image_raw` (its stamps), `joy` (sensor_msgs/Joy). Publishes: `cmd_v
 nothing. Parameters: `carracing_dqn/teleop/settings.py`.
 
 Behaviour when things go wrong: a joystick that falls silent or lacks an axis counts as let go,
-and is named in the diagnostics; without a terminal there are no keys; at the end one zero twist
-is sent.
+and is named in the diagnostics; without a terminal there are no keys, and with one that has gone
+they count as let go; when no image has come for two seconds, and at the end, one zero twist is
+sent.
 """
 from __future__ import annotations
 
 import sys
+import time
 
-from carracing_dqn.teleop.hand import Keyboard, KEYS
+from carracing_dqn.teleop.hand import Keyboard, KEYS, LET_GO
 from carracing_dqn.teleop.hand_node import HandNode
 from carracing_dqn.teleop.settings import TeleopSettings
 from msgs_bridge.node_shell import run_node
@@ -44,10 +46,16 @@ class TeleopNode(HandNode):
         if self._keys is not None:
             for key in keys_in(self._keys.read(), KEYS):
                 self._keyboard.press(key, now)
+            if not self._keys.there:
+                self.let_go()
 
     def of_keys(self, now: float) -> Command:
         """Return what they want."""
         return self._keyboard.command(now)
+
+    def let_go(self) -> None:
+        """Let go of the pedal and the wheel."""
+        self._keyboard.press(LET_GO, time.monotonic())
 
     def keys_are_there(self) -> bool:
         """Return whether there is a terminal."""
