@@ -318,6 +318,7 @@ def test_a_place_that_cannot_be_written_is_said_before_anything_is_driven(monkey
     (['--seed', -1], 'seed is -1'), (['--seed', 2**31], 'seed is'),
     (['--action-repeat', 51], 'action-repeat is 51'), (['--action-repeat', 2], 'for models'),
     (['--device', 'cuda'], '--device is for models'),
+    (['--through-graph'], '--processes is for laps in process'),
     (['--bag', 'x'], 'through-graph'), (['--json', '/no/such/folder/r.json'], 'no folder'),
     (['--policy', 'me'], 'accepted:'),
     (['--policy', 'evaluation_cases:not_finite'], 'answered (nan'),

@@ -130,6 +130,16 @@ def test_what_is_no_bag_is_refused(tmp_path):
     assert said.stderr.count('\n') == 1
 
 
+@pytest.mark.parametrize(('words', 'told'), [
+    (['--browser', '--json', '1'], 'leave one of them out'),
+    (['--json', '1', '--port', '8080'], '--port is that of the page'),
+    (['--json', '1', '--paused'], '--paused is for a bag'),
+])
+def test_what_would_have_no_effect_is_refused(words, told):
+    said = carracing('watch', *words)
+    assert said.returncode == 2 and told in said.stderr and said.stderr.count('\n') == 1
+
+
 def test_the_command_prints_what_it_sees_as_json(bag):
     said = carracing('watch', str(bag), '--json', '2')
     assert said.returncode == 0, said.stderr

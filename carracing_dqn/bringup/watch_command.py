@@ -28,8 +28,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help='a bag to play; without it the graph that runs')
     parser.add_argument('--browser', action='store_true',
                         help='serve a page on this machine instead of a screen in the terminal')
-    parser.add_argument('--port', type=int, default=PORT,
-                        help='of the page; 0 takes a free one (default %(default)s)')
+    parser.add_argument('--port', type=int, default=None,
+                        help=f'of the page; 0 takes a free one (default {PORT})')
     parser.add_argument('--paused', action='store_true', help='begin a bag paused')
     parser.add_argument('--json', type=float, default=None, metavar='SECONDS',
                         help='watch for so long, then print everything as JSON')
@@ -37,8 +37,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(arguments: argparse.Namespace) -> int:
     """Show it until the user ends it; return the exit code."""
-    if not 0 <= arguments.port < 65536:
-        raise BridgeError(f'--port is {arguments.port}; accepted: 0 to 65535')
+    port = PORT if arguments.port is None else arguments.port
+    if not 0 <= port < 65536:
+        raise BridgeError(f'--port is {port}; accepted: 0 to 65535')
+    if arguments.json is not None and arguments.browser:
+        raise BridgeError('--json prints and --browser serves a page; leave one of them out')
+    if arguments.port is not None and not arguments.browser:
+        raise BridgeError('--port is that of the page, which --browser serves')
+    if arguments.paused and arguments.bag is None:
+        raise BridgeError('--paused is for a bag; the graph is paused by ~/pause of its simulator')
     if arguments.json is not None and not 0.1 <= arguments.json <= MAX_SECONDS:
         raise BridgeError(f'--json is {arguments.json:g}; accepted: 0.1 to {MAX_SECONDS:g} s')
     if arguments.json is None and not arguments.browser and not sys.stdout.isatty():
@@ -52,7 +59,7 @@ def main(arguments: argparse.Namespace) -> int:
             time.sleep(arguments.json)
             sys.stdout.write(json.dumps(source.state.snapshot(source.now()), indent=1) + '\n')
         elif arguments.browser:
-            _serve(source, arguments.port)
+            _serve(source, port)
         else:
             # a screen needs a second to load, a page does not need it
             from carracing_dqn.watch.screen import Screen

@@ -72,8 +72,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="gymnasium: the unmodified gymnasium.make('CarRacing-v3'); carracing (or fast): "
         'ours, equal to the byte; or another: '
         f'{", ".join(simulator_names())} are installed (default: %(default)s)')
-    parser.add_argument('--processes', type=int, default=cores(), metavar='N',
-                        help='processes that drive (default: %(default)s, the cores)')
+    parser.add_argument('--processes', type=int, default=None, metavar='N',
+                        help=f'processes that drive (default: {cores()}, the cores)')
     parser.add_argument('--pictures', type=Path, metavar='DIR',
                         help='a picture of every lap: the track from above, by speed and reward')
     parser.add_argument('--device', default='cpu', help='where a model computes, as PyTorch names '
@@ -195,7 +195,7 @@ def _laps(
         arguments.pictures.mkdir(parents=True, exist_ok=True)
         pictures = str(arguments.pictures)
     return drive_laps(source, todo, simulator=arguments.simulator,
-                      processes=arguments.processes, pictures=pictures)
+                      processes=arguments.processes or cores(), pictures=pictures)
 
 
 def _write(arguments: argparse.Namespace, results: Results) -> None:
@@ -216,7 +216,7 @@ def _check(arguments: argparse.Namespace) -> None:
                               'one can drive; leave one of them out')
     for name, most in (('episodes', MOST_EPISODES), ('processes', MOST_PROCESSES)):
         value = getattr(arguments, name)
-        if not 1 <= value <= most:
+        if value is not None and not 1 <= value <= most:
             raise EvaluationError(f'--{name} is {value}; accepted: 1 to {most}')
     if not 0 <= arguments.seed <= LARGEST_SEED - arguments.episodes:
         raise EvaluationError(
@@ -231,6 +231,8 @@ def _check(arguments: argparse.Namespace) -> None:
     if arguments.through_graph and arguments.simulator not in CARRACING:
         raise EvaluationError(f'--through-graph drives in CarRacing, and not in '
                               f'{arguments.simulator}')
+    if arguments.processes is not None and arguments.through_graph:
+        raise EvaluationError('--processes is for laps in process; --through-graph has its own')
     if arguments.bag is not None and not arguments.through_graph:
         raise EvaluationError('--bag records topics, which only --through-graph has')
     if arguments.pictures is not None and arguments.through_graph:
