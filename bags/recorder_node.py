@@ -124,7 +124,8 @@ class BagRecorderNode(NodeShell):
         self._size = (0.0, 0)
         names = ('every topic as it appears' if self._wanted is None
                  else plain(', '.join(sorted(self._wanted)), 1000))
-        self.get_logger().info(f'recording {names} to {self._writer.folder}')
+        # said when it runs: a signal that comes before leaves nobody to complete the bag
+        self._announcement = f'recording {names} to {self._writer.folder}'
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
         """Return messages, bytes waiting and losses, and what keeps the bag from growing."""
@@ -288,6 +289,9 @@ class BagRecorderNode(NodeShell):
 
     def _discover(self) -> None:
         """Subscribe to what is new, and anew where a publisher offers something else."""
+        if self._announcement:
+            self.get_logger().info(self._announcement)
+            self._announcement = ''
         self._end_if_broken()
         self._say_losses()
         self._bound_memory()

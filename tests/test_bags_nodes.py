@@ -729,9 +729,19 @@ def test_a_publisher_that_is_faster_than_the_recorder_keeps_nobody_else_from_it(
     words = graph.probe.create_publisher(String, 'words', 100)
     wait_for(lambda: any('/flood' in line for line in said(recorder)), 20, 'the flood')
     wait_for(words.get_subscription_count, 10, 'recorder')
+    graph.listen(topics.DIAGNOSTICS)
     sent = publish_for(2.0, (words, String(data='sane')))
     kill(flood)
-    time.sleep(0.3)
+    # a busy machine needs a while for what waits in the middleware
+    counts = [0, 0]
+
+    def caught_up():
+        counts.append(int(graph.health(RECORDER[1]).get('messages', 0)))
+        graph.spin(1.2)
+        # the diagnostics themselves are recorded
+        return counts[-1] > 0 and counts[-1] - counts[-2] < 20
+
+    graph.spin_until(caught_up, 30, 'everything is taken')
     assert stop(recorder) == 0
     with BagReader(tmp_path / 'bag') as reader:
         found = verify_bag(reader)
