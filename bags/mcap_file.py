@@ -399,14 +399,12 @@ class McapFile:
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             self._learn(opcode, self._content(start, length))
         elif opcode == Opcode.METADATA:
-            record = self._parse(opcode, self._content(start, length))
+            record = self._record(opcode, start, length)
             self.metadata[record.name] = record.metadata
         elif opcode == Opcode.STATISTICS:
-            record = self._parse(opcode, self._content(start, length))
-            self.counts = dict(record.channel_message_counts)
+            self.counts = dict(self._record(opcode, start, length).channel_message_counts)
         elif opcode == Opcode.DATA_END:
-            record = self._parse(opcode, self._content(start, length))
-            self.data_end = (position, record.data_section_crc)
+            self.data_end = (position, self._record(opcode, start, length).data_section_crc)
             self.summary = (start + length, 0)
         elif opcode == Opcode.FOOTER:
             self.summary = (self.summary[0], start + length)
@@ -414,6 +412,9 @@ class McapFile:
     def _content(self, start: int, length: int) -> bytes:
         """Return the content of a record, or as much of it as is too much for one."""
         return self.peek(start, start + min(length, MAX_RECORD + 1))
+
+    def _record(self, opcode: int, start: int, length: int) -> object:
+        return self._parse(opcode, self._content(start, length))
 
     def _check_header(self, opcode: int, content: bytes) -> None:
         if opcode != Opcode.HEADER:

@@ -218,12 +218,13 @@ def _spin_to_the_end(make_node: Callable[[], Any], arguments: list[str]) -> bool
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         signalled = _signal_without_shutdown() if node.has_last_word else lambda: False
-        if node.eager:
+        eager, wait = node.eager, LOOK_SECONDS if node.has_last_word else None
+        if eager:
             shorten_time_slices()
+            wait = 0
         while rclpy.ok() and not signalled():
-            executor.spin_once(
-                timeout_sec=0 if node.eager else LOOK_SECONDS if node.has_last_word else None)
-            if node.eager:
+            executor.spin_once(timeout_sec=wait)
+            if eager:
                 node.take_eagerly(EXECUTOR_SECONDS)
     except Finished:
         return True
