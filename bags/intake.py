@@ -32,9 +32,9 @@ MAX_MESSAGE = MAX_CHUNK // 2
 # publishers stamp what they like; a bag holds times of 63 bits
 LAST_TIME = 2 ** 63 - 1
 # Seconds without a message from before the end after which a stopped recorder believes that
-# nothing more comes, if the middleware's threads have nothing to do either. Shared memory holds
-# 512 messages a process, and what did not fit is sent again when the publisher's next heartbeat
-# says so, every 0.2 s by the profile of ours; where a look came late, publishers may be, too.
+# nothing more comes, if the middleware's threads have nothing to do either. What a socket had
+# no room for is sent again when the publisher's next heartbeat says so, every 0.2 s by the profile
+# of ours; where a look came late, publishers may be, too.
 QUIET_SECONDS = 0.25
 LATE_QUIET_SECONDS = 0.5
 LATE_SECONDS = 0.15

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import os
 
-from msgs_bridge.dead_segments import remove_dead_segments
 from msgs_bridge.errors import BridgeError
 from msgs_bridge.host_only import check_profile, stay_on_this_host
 from msgs_bridge.log_folder import ensure_log_folder
@@ -17,7 +16,7 @@ LAST_DOMAIN = 232
 
 def before_rclpy() -> None:
     """
-    Set the environment for ROS, which child processes inherit, and tidy up after dead nodes.
+    Set the environment for ROS, which child processes inherit.
 
     Raises:
         BridgeError: the machine lacks something that every node needs, ROS_DOMAIN_ID is none, or
@@ -29,7 +28,6 @@ def before_rclpy() -> None:
     stay_on_this_host()
     check_profile()
     ensure_log_folder()
-    remove_dead_segments()
 
 
 def is_domain(text: str) -> bool:

@@ -3,11 +3,11 @@
 """
 Keeps the graph on this host unless its user opens it; docs/security.md says what that means.
 
-`ROS_AUTOMATIC_DISCOVERY_RANGE` is the one switch: SUBNET (or SYSTEM_DEFAULT) opens, anything else
-keeps closed. The range alone closes nothing: it says whom this process looks for, while its
-sockets hear every address, so that whoever names this host in `ROS_STATIC_PEERS` gets in. A
-profile of ours keeps the sockets of Fast DDS on the loopback address; another one, for a graph
-that is open, says only how often publishers look for what has not arrived.
+`ROS_AUTOMATIC_DISCOVERY_RANGE` is the one switch: SUBNET opens, anything else keeps closed. The
+range alone closes nothing: LOCALHOST says whom this process looks for, while its sockets hear
+every address, so that whoever names this host in `ROS_STATIC_PEERS` gets in. So what is closed
+runs in SYSTEM_DEFAULT, which leaves everything to the profile of Fast DDS, and a profile of ours
+keeps its sockets on the loopback address; another one is for a graph that is open.
 
 `python -m msgs_bridge.host_only` prints the same for a shell to evaluate, for tools that are not
 ours.
@@ -28,7 +28,11 @@ from msgs_bridge.regular_file import read_regular
 from msgs_bridge.share import share_path
 
 RANGE = 'ROS_AUTOMATIC_DISCOVERY_RANGE'
-OPEN = ('SUBNET', 'SYSTEM_DEFAULT')
+OPEN = 'SUBNET'
+# rmw_fastrtps adds nothing to the profile; OFF finds nobody at all
+CLOSED, OFF = 'SYSTEM_DEFAULT', 'OFF'
+# where no profile of ours holds
+UNPROFILED = 'LOCALHOST'
 CLOSED_PROFILE = Path('config/only_this_host.xml')
 OPEN_PROFILE = Path('config/open_to_network.xml')
 
@@ -49,7 +53,7 @@ def stay_on_this_host() -> None:
         BridgeError: the loopback interface is down, so that no node would find another.
     """
     _set(os.environ)
-    if Path(os.environ[PROFILE_VARIABLE]).name == CLOSED_PROFILE.name:
+    if Path(os.environ.get(PROFILE_VARIABLE, '')).name == CLOSED_PROFILE.name:
         _check_loopback()
 
 
@@ -63,7 +67,7 @@ def check_profile() -> None:
         BridgeError: it cannot, and the graph is to stay on this host.
     """
     profile = os.environ.get(PROFILE_VARIABLE)
-    if not profile or os.environ.get(RANGE) in OPEN:
+    if not profile or os.environ.get(RANGE) == OPEN:
         return
     try:
         ElementTree.fromstring(read_regular(profile, MAX_PROFILE_BYTES, BridgeError))
@@ -75,15 +79,22 @@ def check_profile() -> None:
 
 
 def _set(environment: MutableMapping[str, str]) -> None:
-    opened = environment.setdefault(RANGE, 'LOCALHOST') in OPEN
+    opened = environment.get(RANGE) == OPEN
     profile = environment.get(PROFILE_VARIABLE)
+    fast_dds = environment.get('RMW_IMPLEMENTATION', 'rmw_fastrtps').startswith('rmw_fastrtps')
     # one of ours may be from before its user opened the range, or of an install that was moved
-    if profile and Path(profile).name not in (CLOSED_PROFILE.name, OPEN_PROFILE.name):
+    ours = fast_dds and (
+        not profile or Path(profile).name in (CLOSED_PROFILE.name, OPEN_PROFILE.name))
+    if environment.get(RANGE) not in (OPEN, OFF):
+        environment[RANGE] = CLOSED if ours else UNPROFILED
+    if not ours:
         return
     environment[PROFILE_VARIABLE] = str(
         share_path(OPEN_PROFILE if opened else CLOSED_PROFILE).absolute())
     if not opened:
         environment[SKIP_VARIABLE] = '1'
+        # the older switch, which would take the place of the range
+        environment.pop('ROS_LOCALHOST_ONLY', None)
     elif profile:
         environment.pop(SKIP_VARIABLE, None)
 

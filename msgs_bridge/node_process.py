@@ -35,7 +35,7 @@ from rclpy.utilities import get_default_context, remove_ros_args
 EXECUTOR_SECONDS = 0.01
 
 # What a node that ends by itself gives its subscribers: a busy machine may let them wait, and what
-# shared memory did not hold comes with the next heartbeat, every 0.2 s.
+# a socket did not hold comes with the next heartbeat, every 0.2 s.
 LAST_MESSAGES_SECONDS = 1.0
 # how often a node that has a last word looks whether a signal has come
 LOOK_SECONDS = 0.05

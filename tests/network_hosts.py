@@ -18,8 +18,8 @@ import time
 import pytest
 
 HERE, THERE = '10.78.0.1', '10.78.0.2'
-# every "host" has shared memory of its own, as long as this process of it lives
-HOST = 'mount -t tmpfs tmpfs /dev/shm && echo up && exec sleep infinity'
+# every "host" has mounts of its own, as long as this process of it lives
+HOST = 'echo up && exec sleep infinity'
 DEVICE = 'wire'
 TUNSETIFF, IFF_TAP, IFF_NO_PI = 0x400454ca, 0x0002, 0x1000
 CLONE_NEWNET = 0x40000000
@@ -111,7 +111,7 @@ class Wire:
 
 
 class Host:
-    """One host: a network namespace, and shared memory of its own."""
+    """One host: a network namespace, and mounts of its own."""
 
     def __init__(self, name):
         """Make the namespace; raises OSError."""

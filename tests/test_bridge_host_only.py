@@ -5,6 +5,7 @@ import json
 import os
 from pathlib import Path
 import shutil
+import socket
 import subprocess
 import sys
 from xml.etree import ElementTree
@@ -14,7 +15,8 @@ from graph_probe import wait_for
 from msgs_bridge.before_rclpy import before_rclpy
 from msgs_bridge.errors import BridgeError
 from msgs_bridge.host_only import (
-    CLOSED_PROFILE, OPEN_PROFILE, PROFILE_VARIABLE, RANGE, SKIP_VARIABLE, stay_on_this_host,
+    CLOSED, CLOSED_PROFILE, OPEN_PROFILE, PROFILE_VARIABLE, RANGE, SKIP_VARIABLE,
+    stay_on_this_host,
 )
 from msgs_bridge.share import share_path
 import pytest
@@ -34,8 +36,31 @@ while time.monotonic() < until and len(names) < 1:
 print(json.dumps(sorted(names)), flush=True)
 os._exit(0)
 """
-# every "host" has shared memory of its own
+# what outsiders leave in shared memory goes with them
 ON_A_HOST = 'mount -t tmpfs tmpfs /dev/shm && exec "$@"'
+# a node as every process of ours begins one
+NODE = """
+import time
+from msgs_bridge.before_rclpy import before_rclpy
+before_rclpy()
+import rclpy
+rclpy.init()
+node = rclpy.create_node('one')
+from std_msgs.msg import String
+publisher = node.create_publisher(String, 'words', 1)
+print('up', flush=True)
+while True:
+    publisher.publish(String(data='word'))
+    time.sleep(0.05)
+"""
+LISTENER = """
+import rclpy
+from rclpy.wait_for_message import wait_for_message
+from std_msgs.msg import String
+rclpy.init()
+print(wait_for_message(String, rclpy.create_node('other'), 'words', time_to_wait=30)[1].data)
+rclpy.shutdown()
+"""
 
 
 def clean_environment(**changed):
@@ -119,10 +144,13 @@ def environment_after(monkeypatch, **given):
 
 def test_one_switch_opens_and_a_profile_of_the_users_own_stays(monkeypatch):
     profile, opened = (str(share_path(one)) for one in (CLOSED_PROFILE, OPEN_PROFILE))
-    assert environment_after(monkeypatch) == ('LOCALHOST', profile)
+    assert environment_after(monkeypatch) == (CLOSED, profile)
     assert os.environ[SKIP_VARIABLE] == '1'
-    # what rcl does not know it takes for LOCALHOST
-    assert environment_after(monkeypatch, **{RANGE: 'subnet'}) == ('subnet', profile)
+    for closed in ('subnet', 'LOCALHOST', CLOSED, ''):
+        assert environment_after(monkeypatch, **{RANGE: closed}) == (CLOSED, profile)
+    environment_after(monkeypatch, ROS_LOCALHOST_ONLY='1')
+    assert 'ROS_LOCALHOST_ONLY' not in os.environ
+    assert environment_after(monkeypatch, **{RANGE: 'OFF'}) == ('OFF', profile)
     assert environment_after(monkeypatch, **{RANGE: 'SUBNET'}) == ('SUBNET', opened)
     assert SKIP_VARIABLE not in os.environ
     # a child of a closed process whose user has opened the range
@@ -130,19 +158,55 @@ def test_one_switch_opens_and_a_profile_of_the_users_own_stays(monkeypatch):
         monkeypatch, **{RANGE: 'SUBNET', PROFILE_VARIABLE: profile, SKIP_VARIABLE: '1'},
     ) == ('SUBNET', opened)
     assert SKIP_VARIABLE not in os.environ
-    assert environment_after(monkeypatch, **{PROFILE_VARIABLE: opened}) == ('LOCALHOST', profile)
-    for discovery in ('LOCALHOST', 'SUBNET'):
-        own = {RANGE: discovery, PROFILE_VARIABLE: '/etc/own.xml'}
-        assert environment_after(monkeypatch, **own) == (discovery, '/etc/own.xml')
+    assert environment_after(monkeypatch, **{PROFILE_VARIABLE: opened}) == (CLOSED, profile)
+    # the range of a closed shell does not open with a profile or a middleware that closes nothing
+    for given, left in ((CLOSED, 'LOCALHOST'), ('LOCALHOST', 'LOCALHOST'), ('SUBNET', 'SUBNET')):
+        own = {RANGE: given, PROFILE_VARIABLE: '/etc/own.xml'}
+        assert environment_after(monkeypatch, **own) == (left, '/etc/own.xml')
+        other = {RANGE: given, 'RMW_IMPLEMENTATION': 'rmw_cyclonedds_cpp'}
+        assert environment_after(monkeypatch, **other) == (left, None)
+        monkeypatch.delenv('RMW_IMPLEMENTATION')
+    assert environment_after(monkeypatch, RMW_IMPLEMENTATION='rmw_zenoh_cpp')[0] == 'LOCALHOST'
+    monkeypatch.setenv('RMW_IMPLEMENTATION', 'rmw_fastrtps_cpp')
+    assert environment_after(monkeypatch) == (CLOSED, profile)
 
 
 def test_a_profile_of_ours_that_is_gone_is_replaced_by_the_present_one(monkeypatch, tmp_path):
     """A shell keeps the path of a checkout that was moved; without a profile Fast DDS opens."""
     moved = str(tmp_path / CLOSED_PROFILE)
     assert environment_after(monkeypatch, **{PROFILE_VARIABLE: moved}) == (
-        'LOCALHOST', str(share_path(CLOSED_PROFILE)))
+        CLOSED, str(share_path(CLOSED_PROFILE)))
     assert environment_after(monkeypatch, **{RANGE: 'SUBNET', PROFILE_VARIABLE: moved}) == (
         'SUBNET', str(share_path(OPEN_PROFILE)))
+
+
+def places_of(process):
+    """Return the addresses of a process's UDP sockets."""
+    inodes = {os.readlink(one) for one in Path(f'/proc/{process.pid}/fd').iterdir()}
+    rows = [row.split() for row in Path('/proc/net/udp').read_text().splitlines()[1:]]
+    return {socket.inet_ntoa(int(row[1].split(':')[0], 16).to_bytes(4, sys.byteorder))
+            for row in rows if f'socket:[{row[9]}]' in inodes}
+
+
+@pytest.mark.parametrize('range_', ['LOCALHOST', 'SUBNET'])
+def test_a_node_has_no_shared_memory_and_where_closed_no_other_address(range_):
+    """A segment of Fast DDS is never whole again after a reader died: images are lost in it."""
+    node = subprocess.Popen(
+        [sys.executable, '-c', NODE], stdout=subprocess.PIPE, text=True,
+        env=clean_environment(**{RANGE: range_}))
+    try:
+        assert node.stdout.readline()
+        # nodes of others, whose transports are those of ROS
+        for theirs in ({}, {RANGE: 'LOCALHOST'}):
+            heard = subprocess.run([sys.executable, '-c', LISTENER], capture_output=True,
+                                   text=True, timeout=60, env=clean_environment(**theirs))
+            assert heard.stdout == 'word\n', (theirs, heard.stderr)
+        assert '/dev/shm/fastrtps' not in Path(f'/proc/{node.pid}/maps').read_text()
+        places = places_of(node)
+        assert places == {'127.0.0.1'} if range_ == 'LOCALHOST' else '0.0.0.0' in places
+    finally:
+        node.kill()
+        node.wait()
 
 
 def test_publishers_look_as_often_for_what_has_not_arrived_however_open_the_graph():
@@ -187,7 +251,7 @@ def test_the_setup_file_does_the_same_for_tools_that_are_not_ours(tmp_path):
 
     profile, opened = (
         str(tmp_path / 'share/carracing_dqn' / one) for one in (CLOSED_PROFILE, OPEN_PROFILE))
-    assert say(source + show) == [str(tmp_path), 'LOCALHOST', profile]
+    assert say(source + show) == [str(tmp_path), CLOSED, profile]
     assert say(source + show, **{RANGE: 'SUBNET', 'AMENT_PREFIX_PATH': '/opt/ros'}) == [
         f'{tmp_path}:/opt/ros', 'SUBNET', opened]
     assert say(f'{source} export {RANGE}=SUBNET; {source} echo ${PROFILE_VARIABLE}') == [opened]

@@ -681,6 +681,27 @@ def test_the_answers_of_the_services_say_what_is_so():
     assert stepping.step() == (False, 'not paused: call ~/pause with true first')
 
 
+@pytest.mark.parametrize('on_timeout', ['resend', 'coast', 'hold'])
+def test_a_step_while_paused_that_nobody_answers_is_late_as_any_other(on_timeout):
+    stream = Stream(on_timeout=on_timeout, start_paused=True, answer_timeout=1.0)
+    stepping = stream.stepping
+    stepping.start()
+    for _ in range(2):
+        stream.clock += 5.0
+        stepping.beat()
+        assert len(stream.frames) == 1 and not stream.resent
+    stepping.step()
+    # what was paused before it does not count
+    stepping.beat()
+    assert len(stream.frames) == 1 and not stream.resent
+    stream.clock += 1.1
+    stepping.beat()
+    assert (stream.resent, len(stream.frames)) == ((1, 1) if on_timeout == 'resend' else (0, 2))
+    stream.clock += 1.1
+    stepping.beat()
+    assert (stream.resent, len(stream.frames)) == ((2, 1) if on_timeout == 'resend' else (0, 2))
+
+
 def test_real_time_lets_go_of_a_stale_twist_and_takes_plain_ones():
     stream = Stream(RealTime, stale_after=0.2)
     stepping = stream.stepping

@@ -63,6 +63,8 @@ def test_a_graph_that_drives_is_seen_whole_and_obeys(graph, source):
     source.act('pause', True, space)
     said(source, 'pause: paused')
     wait_for(lambda: shown(source, graph)['switches']['paused'], 10, 'paused')
+    # the state of the switch is shown as it comes, the drive as of the last look
+    graph.spin(4 * live_node.LOOK_SECONDS)
     before = shown(source, graph)['drive']['decision']
     source.act('step', None, space)
     said(source, 'step: ')

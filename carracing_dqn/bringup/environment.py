@@ -26,7 +26,7 @@ export AMENT_PREFIX_PATH="$prefix${AMENT_PREFIX_PATH:+:$AMENT_PREFIX_PATH}"
 export ROS_VERSION="${ROS_VERSION:-2}" ROS_PYTHON_VERSION="${ROS_PYTHON_VERSION:-3}"
 export ROS_DISTRO="${ROS_DISTRO:-jazzy}"
 # Nodes and tools that are started in this shell are not reached from other hosts: Fast DDS is kept
-# on the loopback address and in shared memory, unless ROS_AUTOMATIC_DISCOVERY_RANGE is SUBNET, or
+# on the loopback address, unless ROS_AUTOMATIC_DISCOVERY_RANGE is SUBNET, or
 # FASTRTPS_DEFAULT_PROFILES_FILE names a profile of yours. After opening it source this file again.
 eval "$("$prefix/bin/python" -m msgs_bridge.host_only)"
 unset prefix

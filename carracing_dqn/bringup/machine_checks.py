@@ -27,8 +27,8 @@ LIBRARIES = ('rclpy', 'ros-rclpy', 'gymnasium', 'torch', 'numpy', 'mcap', 'rosba
 MOST_DOMAIN = 101
 # what a graph opens at least, and what it should have
 FEW_FILES, ENOUGH_FILES = 64, 1024
-# DDS' shared memory takes some MB a node; a bag of an hour 5 GB
-LEAST_SHM, LEAST_DISK = 64 << 20, 1 << 30
+# a bag of an hour takes 5 GB
+LEAST_DISK = 1 << 30
 # a message of a large camera is torn in pieces that have to wait here
 ENOUGH_RECEIVE = 1 << 20
 GIB = 1 << 30
@@ -44,7 +44,6 @@ def machine_findings() -> Iterator[Finding]:
     yield _sockets()
     yield _files()
     yield _home()
-    yield _memory()
     yield _disk()
     yield _gpu()
 
@@ -110,7 +109,7 @@ def _range() -> Finding:
     peers = os.environ.get('ROS_STATIC_PEERS', '')
     found = (f'{RANGE} is {chosen}' + (f', {Path(profile).name}' if profile else '')
              + (f', peers {peers[:60]}' if peers else ''))
-    if chosen in OPEN:
+    if chosen == OPEN:
         return Finding('discovery', UNSURE, f'{found}: other hosts get in',
                        f'unset {RANGE} keeps the graph on this host; docs/security.md')
     if profile and not Path(profile).is_file():
@@ -169,11 +168,6 @@ def _room(name: str, place: str, least: int, mend: str) -> Finding:
     if not os.access(place, os.W_OK):
         return Finding(name, BAD, f'{place} cannot be written', mend)
     return Finding(name, GOOD if free >= least else BAD, found, '' if free >= least else mend)
-
-
-def _memory() -> Finding:
-    return _room('shared memory', '/dev/shm', LEAST_SHM,
-                 'docker run --shm-size=1g; without it messages go over UDP')
 
 
 def _disk() -> Finding:

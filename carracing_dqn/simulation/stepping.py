@@ -296,7 +296,7 @@ class Lockstep(Stepping):
             if self._now() > self._patient_until:
                 self._send_put_off()
             return
-        if self.paused or self.held_back or not self.late:
+        if self.held_back or not self.late or self.paused and not self._steps_allowed:
             return
         settings = self._outlet.settings
         self._outlet.counts['answer_timeouts'] += 1
@@ -307,10 +307,15 @@ class Lockstep(Stepping):
             self._asked_at = self._now()
             self._unanswered += 1
             self._outlet.send_again(self.frame)
-        elif settings.on_timeout == 'hold' and self._held is not None:
-            self._advance(*self._held)
-        else:
-            self._advance(STOP, None)
+        elif self._may_step():
+            self._advance(*(self._held if settings.on_timeout == 'hold' and self._held
+                            else (STOP, None)))
+
+    def step(self) -> tuple[bool, str]:
+        """Allow one decision while paused; from now on its answer may be late."""
+        if self.paused:
+            self._asked_at = self._now()
+        return super().step()
 
     def pause(self, paused: bool) -> str:
         """Stand, or go on; standing does not count as time without an answer."""
