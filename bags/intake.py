@@ -217,7 +217,6 @@ class Intake:
         received = info['received_timestamp'] or time.time_ns()
         if topic.is_repeat(sent, sequence):
             return received
-        topic.silence.end()
         if topic.number is None and topic.kept:
             self._announce(topic)
         if sequence != topic.sequence + 1 and topic.kept:

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from typing import Any
 
 from bags.live_qos import Kind
-from msgs_bridge.silence import Silence
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
@@ -31,7 +30,6 @@ class RecordedTopic:
         publishers: who publishes it, as far as discovery knows.
         latched: whether a publisher keeps less than it has sent.
         first: whether we subscribed before anybody published, so that even number 1 should come.
-        silence: how long nothing has come.
         largest: bytes of the largest message seen.
         sequence: number of the newest message; 0 when it is not known.
         unsure: whether more may be lost than is counted: it was listened to anew while no number
@@ -57,7 +55,6 @@ class RecordedTopic:
         self.profiles: list[dict[str, Any]] = []
         self.publishers: frozenset[bytes] = frozenset()
         self.first = False
-        self.silence = Silence()
         self.largest = 0
         self.sequence = 0
         self.unsure = False
@@ -92,12 +89,6 @@ class RecordedTopic:
         self.ears = ears
         # what a publisher sent before it could be heard is not lost
         self.first = False
-
-    def listen_beside(self, ears: dict[Kind, Subscription]) -> None:
-        """Go on with these subscriptions of the same kinds; the present ones are emptied first."""
-        self.retired.extend(self.ears.values())
-        self.ears = ears
-        self._renewed = True
 
     def listen_anew(self, ears: dict[Kind, Subscription]) -> None:
         """Go on with these subscriptions in place of those that were ended with what they held."""

@@ -295,7 +295,6 @@ class BagRecorderNode(NodeShell):
         self._end_if_broken()
         self._say_losses()
         self._bound_memory()
-        self._renew_silent()
         self._tell()
         while self._intake.drained:
             self.destroy_subscription(self._intake.drained.popleft())
@@ -398,19 +397,6 @@ class BagRecorderNode(NodeShell):
         if floods:
             self.get_logger().warn(f'a flood: what waited in DDS of {", ".join(floods)} was '
                                    'dropped, for memory is bounded')
-
-    def _renew_silent(self) -> None:
-        """Listen anew to what has been silent for long; what is latched is seldom said."""
-        for topic in list(self._intake.topics.values()):
-            if topic.publishers and not topic.latched and topic.silence.too_long():
-                self.counts['renewed'] += 1
-                try:
-                    ears = {kind: self._subscription(topic, kind) for kind in topic.ears}
-                except Exception:
-                    # ROS is shutting down, or refuses another one: the present ones stay
-                    return
-                with self._intake.lock:
-                    topic.listen_beside(ears)
 
     def _listen_anew(self, topic: RecordedTopic) -> None:
         """Replace the subscriptions of a topic and forget what waits in them."""

@@ -42,7 +42,7 @@ class RecorderSettings:
         'and counted',
         low=1 << 20, high=1 << 34)
     depth: int = setting(
-        2000, 'messages a topic that may wait in DDS; Fast DDS has gone deaf with fewer than 100',
+        2000, 'messages a topic that may wait in DDS',
         low=100, high=100_000)
     provenance: str = setting(
         '', 'JSON object with the origin of the run, for custom_data and a metadata record')

@@ -45,8 +45,6 @@ from std_srvs.srv import SetBool
 import torch
 
 NO_MODEL = ''
-# of weights only the last is of use, but a reader that keeps few goes deaf in a flood
-WEIGHTS_DEPTH = 100
 # without an image for so long nothing drives; seconds
 SILENCE_SECONDS = 2.0
 
@@ -76,10 +74,10 @@ class DqnPolicyNode(NodeShell):
         self._q_values = self.publisher(topics.Q_VALUES)
         # only the newest matters: an old image has no use any more, nor have old weights
         self._images = self.subscription(
-            topics.IMAGE, self._on_image, eager=True, newest=True, renewed=True,
+            topics.IMAGE, self._on_image, eager=True, newest=True,
             type_name=topics.COMPRESSED_TYPE if settings.camera_compressed else None)
         self._weights = self.subscription(
-            topics.WEIGHTS, self._on_weights, depth=WEIGHTS_DEPTH, newest=True,
+            topics.WEIGHTS, self._on_weights, newest=True,
         ) if settings.hot_swap else None
         self.create_service(SetBool, '~/enable', self._on_enable)
         self._enabled = True

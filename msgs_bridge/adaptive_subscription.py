@@ -3,12 +3,8 @@
 """
 A subscription that goes on hearing: it is made anew when what it asks for no longer fits.
 
-Four things make one deaf that a program does not notice. A publisher offers less than it asks
-for (best effort, volatile). A reader of Fast DDS whose messages came faster than they were taken
-may hear nothing more, ever, whatever its depth. A history of hundreds of messages, which keeps
-that from happening with small ones, is gigabytes of large ones. And after another reader of the
-same publisher was killed, or stopped for a moment, one was seen to hear nothing for minutes though
-others did, seven times in some 110 (`make faults`: kill, trainer; stop and continue, recorder).
+Two things change while a node runs: a publisher comes that offers less than is asked for (best
+effort, volatile), and a history of thousands of messages is gigabytes where they are large.
 """
 from __future__ import annotations
 
@@ -24,7 +20,6 @@ from msgs_bridge.matching import (
     common_request, publishers_of, type_name_of, unheard_publishers,
 )
 from msgs_bridge.plain_text import plain
-from msgs_bridge.silence import Silence
 from msgs_bridge.transport.arrival import Bell
 from rclpy.callback_groups import CallbackGroup
 from rclpy.event_handler import (
@@ -46,9 +41,6 @@ OVERRIDES = QoSOverridingOptions([
 # what rclpy raises for a value that an override cannot have
 OVERRIDE_ERRORS = (InvalidQosOverridesError, ParameterException, InvalidParameterTypeException,
                    RuntimeError, ValueError, AttributeError, TypeError)
-# After losses and so much silence a reader may have gone deaf. It need not have, and then a new
-# one costs what arrives within milliseconds; so it is tried once after each loss.
-DEAF_SECONDS = 1.0
 # what may wait in the middleware; 2,000 images of 96x96 are 55 MB
 QUEUE_BYTES = 64 << 20
 LEAST_DEPTH = 2
@@ -77,8 +69,7 @@ class AdaptiveSubscription:
 
     Attributes:
         name: the topic as it is known in the graph, remapped.
-        counts: `skipped`, `lost` (by the middleware), `deaf` (made anew in a silence after losses)
-            and `renewed` (in any other silence).
+        counts: `skipped`, and `lost` by the middleware.
         publishers: how many there are, of whatever type.
         unheard: a text for each publisher from which nothing comes, and why.
         qos: what is asked for now.
@@ -87,7 +78,7 @@ class AdaptiveSubscription:
     def __init__(
         self, node: Node, message_class: type, topic: str, callback: Callable[[Any], None],
         qos: QoSProfile, *, group: CallbackGroup | None = None, newest: bool = False,
-        bell: Bell | None = None, renewed: bool = False,
+        bell: Bell | None = None,
     ) -> None:
         """
         Subscribe.
@@ -101,8 +92,6 @@ class AdaptiveSubscription:
             group: keeps it out of the executor, for those who `take`.
             newest: whether only the newest message that waits is wanted.
             bell: to be rung when a message has come, which keeps it out of the executor, too.
-            renewed: whether to be made anew in a short silence, too, at the price of what is on
-                its way: for those who only ever need the next message.
 
         Raises:
             SettingsError: an override with a value that there is not.
@@ -117,8 +106,6 @@ class AdaptiveSubscription:
         self._deliver = callback
         self._group, self._newest, self._bell = group, newest, bell
         self._resized_at = time.monotonic()
-        self._lost_since_made = 0
-        self._silence = Silence(short=renewed)
         self._largest = 0
         set_by_user = {
             kind for kind in OVERRIDES.policy_kinds
@@ -170,15 +157,6 @@ class AdaptiveSubscription:
         self.unheard = unheard_publishers(publishers, self._type_name, self.qos)
         if self._resizes:
             self._fit_sizes()
-        if not publishers:
-            return
-        if self._lost_since_made and self._silence.seconds > DEAF_SECONDS:
-            self.counts['deaf'] += 1
-            self._make_anew()
-        # what is latched is seldom said
-        elif not self._latched and self._silence.too_long():
-            self.counts['renewed'] += 1
-            self._make_anew()
 
     def _receive(self, message: Any) -> None:
         """Deliver a message, or the newest one that waits behind it."""
@@ -190,7 +168,6 @@ class AdaptiveSubscription:
                     break
                 message = newer
                 self.counts['skipped'] += 1
-        self._silence.end()
         data = getattr(message, 'data', None)
         if type(data) is array and len(data) > self._largest:
             self._largest = len(data) * data.itemsize
@@ -231,8 +208,6 @@ class AdaptiveSubscription:
                 self._make_anew()
 
     def _make_anew(self) -> None:
-        self._lost_since_made = 0
-        self._silence.begin_anew()
         # DDS refuses a second reader of the topic with another type support, so the old one first
         self._destroy(self.subscription)
         self.subscription = self._make()
@@ -272,4 +247,3 @@ class AdaptiveSubscription:
         lost = self._losses.take_data()
         if lost is not None:
             self.counts['lost'] += lost.total_count_change
-            self._lost_since_made += lost.total_count_change

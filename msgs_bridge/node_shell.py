@@ -151,7 +151,7 @@ class NodeShell(Node):
     def subscription(
         self, topic: Topic, callback: Callable[[Any], None], *, type_name: str | None = None,
         depth: int | None = None, polled: bool = False, eager: bool = False,
-        newest: bool = False, renewed: bool = False,
+        newest: bool = False,
     ) -> AdaptiveSubscription:
         """
         Subscribe to a topic of the contract; bad messages are counted, not fatal.
@@ -166,7 +166,6 @@ class NodeShell(Node):
             polled: nothing is called until somebody calls `take`.
             eager: messages do not wait for the executor, for nodes that another one waits for.
             newest: only the newest message that waits is wanted; others are counted as skipped.
-            renewed: subscribed anew in a short silence, at the price of what is on its way.
 
         Raises:
             SettingsError: a parameter `qos_overrides` with a value that there is not.
@@ -183,8 +182,7 @@ class NodeShell(Node):
         subscription = AdaptiveSubscription(
             self, message_class(type_name or topic.type_name), topic.name, checked,
             qos_profile(topic, depth=depth), newest=newest,
-            group=PolledGroup() if polled else None, bell=self._bell if eager else None,
-            renewed=renewed)
+            group=PolledGroup() if polled else None, bell=self._bell if eager else None)
         self._heard.append((topic.name, subscription))
         if subscription.rings:
             self._eager.append(subscription)
@@ -304,11 +302,8 @@ class NodeShell(Node):
         """Save or finish what must not be lost; called once on every way out."""
 
     def _watch_graph(self) -> None:
-        for topic, subscription in self._heard:
-            deaf = subscription.counts['deaf']
+        for _, subscription in self._heard:
             subscription.watch()
-            if subscription.counts['deaf'] > deaf:
-                self.warn_of(topic, 'nothing was heard after losses, subscribed anew')
 
     def _misfits(self) -> list[str]:
         """Return a text for every end of a topic that does not fit ours; log what is new."""

@@ -476,24 +476,6 @@ def test_each_kind_of_publisher_is_heard_and_nothing_comes_twice(graph, tmp_path
         ('reliable', 'transient_local', 'manual_by_topic', 9223372036, 9223372036, 9)]
 
 
-def test_a_topic_that_is_silent_for_long_is_listened_to_anew_and_nothing_is_lost(graph, tmp_path):
-    recorder = start_recorder(graph, tmp_path / 'bag')
-    graph.listen(topics.DIAGNOSTICS)
-    words = graph.probe.create_publisher(String, 'words', 10)
-    wait_for(words.get_subscription_count, 10, 'recorder')
-    words.publish(String(data='0'))
-    graph.spin_until(lambda: int(graph.health(RECORDER[1]).get('renewed', 0)), 40, 'a renewal')
-    for number in range(1, 12):
-        words.publish(String(data=str(number)))
-    time.sleep(0.3)
-    assert stop(recorder) == 0
-    with BagReader(tmp_path / 'bag') as reader:
-        said = [deserialize_message(bytes(one.data), String).data
-                for one in reader.messages([f'/{graph.namespace}/words'])]
-    assert said == [str(number) for number in range(12)]
-    assert 'lost: none' in recorder.words[-1]
-
-
 def test_what_waits_in_dds_when_a_recorder_is_stopped_is_in_the_bag(graph, tmp_path):
     recorder = start_recorder(graph, tmp_path / 'bag')
     publishers = [graph.publisher(topic) for topic in (topics.STEP, topics.CMD_VEL)]

@@ -36,9 +36,6 @@ from msgs_bridge.simulator import Simulator
 from msgs_bridge.stamps import to_nanoseconds
 from sensor_msgs.msg import JointState
 
-# a reader that keeps few goes deaf in a flood
-WEIGHTS_DEPTH = 100
-
 
 class ValidationNode(NodeShell):
     """
@@ -58,7 +55,7 @@ class ValidationNode(NodeShell):
         self._driven = -1
         self._stopping = threading.Event()
         self._validation = self.publisher(topics.VALIDATION)
-        self.subscription(topics.WEIGHTS, self._on_weights, depth=WEIGHTS_DEPTH)
+        self.subscription(topics.WEIGHTS, self._on_weights)
         self._lap_driver_called = self.create_guard_condition(self._on_result)
         # it is left alone at the end, because a lap may take longer than a node has to stop
         threading.Thread(target=self._drive, name='laps', daemon=True).start()

@@ -105,8 +105,7 @@ class SimulatorNode(NodeShell):
         stamped = settings.cmd_vel_stamped
         self._cmd_vel = self.subscription(
             topics.CMD_VEL, self._on_stamped_twist if stamped else self._on_plain_twist,
-            type_name=None if stamped else topics.PLAIN_TWIST_TYPE, eager=self._lockstep,
-            renewed=True)
+            type_name=None if stamped else topics.PLAIN_TWIST_TYPE, eager=self._lockstep)
         self.create_service(Trigger, '~/reset', self._on_reset)
         self.create_service(Trigger, '~/step', self._on_step)
         self.create_service(SetBool, '~/pause', self._on_pause)

@@ -58,7 +58,7 @@ class HandNode(NodeShell):
             topics.CMD_VEL,
             type_name=None if settings.cmd_vel_stamped else topics.PLAIN_TWIST_TYPE)
         self._images = self.subscription(
-            topics.IMAGE, self.on_image, newest=True, renewed=True,
+            topics.IMAGE, self.on_image, newest=True,
             type_name=topics.COMPRESSED_TYPE if settings.image_compressed else None)
         self.subscription(topics.JOY, self._on_joy)
         self.create_service(SetBool, '~/enable', self._on_enable)

@@ -44,8 +44,6 @@ QUIET_SECONDS, UNWELL_SECONDS = 4.0, 12.0
 # messages that wait in the middleware: two images, to see how the picture moves
 IMAGE_DEPTH, DEPTH, LATCHED_DEPTH, HEALTH_DEPTH = 2, 50, 20, 100
 MAX_SUBSCRIPTIONS = 60
-# a subscription that has heard and hears no more is made anew once; seconds
-DEAF_SECONDS = 5.0
 # a topic that could not be heard is tried again: the machine may have lacked something
 REFUSED_SECONDS = 30.0
 # of the graph itself, and of no use to who looks at a car
@@ -65,7 +63,6 @@ class Ear:
         self.subscription, self.type_name = subscription, type_name
         self.heard_at: float | None = None
         self.made_at = now
-        self.renewed = False
 
 
 class LiveSource(ListeningNode):
@@ -177,18 +174,8 @@ class LiveSource(ListeningNode):
     def _follow(
         self, name: str, ends: TopicEnds, publishers: list[TopicEndpointInfo], now: float,
     ) -> None:
-        """Subscribe to a topic if that is not noticed, and anew where nothing comes any more."""
-        ear = self._ears.get(name)
-        if ear is not None:
-            # a reader of Fast DDS may go deaf after a flood; one that stands still costs nothing
-            if ear.heard_at is not None and not ear.renewed and (
-                    now - ear.heard_at > DEAF_SECONDS):
-                self._node.destroy_subscription(self._ears.pop(name).subscription)
-                self._listen_if_possible(name, ends, publishers, now)
-                if name in self._ears:
-                    self._ears[name].renewed = True
-            return
-        if (name, ends.type_name) in self._refused:
+        """Subscribe to a topic if that is not noticed."""
+        if name in self._ears or (name, ends.type_name) in self._refused:
             return
         if not all(self._may_listen_to(end.node, now) for end in ends.publishers) and (
                 ends.type_name != DIAGNOSTICS.type_name):
@@ -252,7 +239,7 @@ class LiveSource(ListeningNode):
                         if taken is None:
                             break
                         data, info = taken
-                        ear.heard_at, ear.renewed = now, False
+                        ear.heard_at = now
                         self.state.take(name, ear.type_name, data, now,
                                         info['publication_sequence_number'] or 0)
             except Exception:

@@ -23,7 +23,6 @@ from msgs_bridge.host_only import stay_on_this_host
 from msgs_bridge.message_types import message_class
 from msgs_bridge.node_shell import PolledGroup
 from msgs_bridge.qos import qos_profile
-from msgs_bridge.silence import Silence
 from msgs_bridge.topics import STALL_DEPTH, Topic, TOPICS
 from rcl_interfaces.msg import SetParametersResult
 import rclpy
@@ -50,7 +49,6 @@ class FaultNode(Node):
         names = self.declare_parameter('topics', ','.join(BY_NAME)).value
         self.declare_parameter('fault', '')
         self._lanes: dict[str, tuple[Relay, Publisher, Subscription]] = {}
-        self._silences: dict[str, Silence] = {}
         for name in filter(None, names.split(',')):
             topic = BY_NAME[name]
             kind = message_class(topic.type_name)
@@ -59,18 +57,10 @@ class FaultNode(Node):
         self.add_on_set_parameters_callback(self._on_set)
 
     def _subscription(self, topic: Topic) -> Subscription:
-        self._silences[topic.name] = Silence(short=True)
         return self.create_subscription(
             message_class(topic.type_name), topic.name + UPSTREAM, lambda _: None,
             qos_profile(topic, depth=None if topic.latched else STALL_DEPTH), raw=True,
             callback_group=PolledGroup())
-
-    def renew(self) -> None:
-        """Subscribe anew to what is silent: a reader that goes deaf is no fault of the table."""
-        for name, (relay, publisher, subscription) in self._lanes.items():
-            if not BY_NAME[name].latched and self._silences[name].too_long():
-                self.destroy_subscription(subscription)
-                self._lanes[name] = relay, publisher, self._subscription(BY_NAME[name])
 
     def _on_set(self, parameters: list) -> SetParametersResult:
         for parameter in parameters:
@@ -86,11 +76,10 @@ class FaultNode(Node):
     def relay(self) -> int:
         """Take what has come and hand on what is due; return how many messages came."""
         came = 0
-        for name, (relay, publisher, subscription) in self._lanes.items():
+        for relay, publisher, subscription in self._lanes.values():
             with subscription.handle:
                 while taken := subscription.handle.take_message(subscription.msg_type, True):
                     came += 1
-                    self._silences[name].end()
                     self._send(publisher, relay.arrived(taken[0], time.monotonic()))
             if relay.kind != PASS:
                 self._send(publisher, relay.due(time.monotonic()))
@@ -117,7 +106,6 @@ def main() -> None:
                 time.sleep(IDLE_SECONDS)
             if time.monotonic() - turn > EXECUTOR_SECONDS:
                 executor.spin_once(timeout_sec=0)
-                node.renew()
                 turn = time.monotonic()
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
