@@ -21,8 +21,8 @@ class CommandSettings(CommandScale):
 
     drive: str = setting(
         'direct', 'direct: commands are scaled; ackermann: linear is a pedal that changes the '
-        'speed, angular turns the front wheels, and out come speed and yaw rate (the trainer '
-        'cannot learn from those)', choices=('direct', 'ackermann'))
+        'speed, angular turns the front wheels, and out come speed and yaw rate, scaled like '
+        'commands (the trainer cannot learn from those)', choices=('direct', 'ackermann'))
     linear_low: float = setting(
         -1000.0, 'least linear.x, m/s', low=-1000.0, high=1000.0)
     linear_high: float = setting(
@@ -78,8 +78,8 @@ class CommandStage:
         """
         settings = self._settings
         seconds = min(max(seconds, 0.0), LONGEST_PAUSE)
-        wanted = (settings.to_robot(command) if settings.drive == 'direct'
-                  else self._ackermann(command, seconds))
+        wanted = settings.to_robot(
+            command if settings.drive == 'direct' else self._ackermann(command, seconds))
         limit = settings.angular_limit
         self._last = Command(
             _towards(self._last.linear, _within(
@@ -97,7 +97,9 @@ class CommandStage:
         else:
             slowing = max(-command.linear * settings.deceleration, settings.coasting)
             self._speed = max(self._speed - slowing * seconds, 0.0)
-        self._speed = _within(self._speed, settings.linear_low, settings.linear_high)
+        low, high = sorted(settings.from_robot(Command(limit, 0.0)).linear
+                           for limit in (settings.linear_low, settings.linear_high))
+        self._speed = _within(self._speed, low, high)
         angle = command.angular * settings.steering_limit
         return Command(self._speed, self._speed * math.tan(angle) / settings.wheelbase)
 

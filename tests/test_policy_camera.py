@@ -167,6 +167,13 @@ def test_an_ackermann_car_gathers_speed_turns_by_its_wheels_and_coasts():
     assert twist.angular == pytest.approx(2.0 * math.tan(0.3) / 0.5)
     assert stage.twist(Command(0.0, 0.0), 0.1).linear == pytest.approx(1.95)
     assert stage.twist(Command(-1.0, 0.0), 0.1).linear == pytest.approx(1.55)
+    # a robot with the other sign that counts in cm/s
+    mirrored = CommandStage(CommandSettings(
+        drive='ackermann', acceleration=2.0, linear_scale=100.0, angular_scale=-1.0,
+        linear_low=0.0, linear_high=150.0))
+    for _ in range(10):
+        twist = mirrored.twist(Command(1.0, 1.0), 0.1)
+    assert twist == Command(pytest.approx(150.0), pytest.approx(-1.5 * math.tan(0.4) / 0.3))
     with pytest.raises(SettingsError, match='linear_low'):
         CommandSettings(linear_low=1.0, linear_high=0.0)
 
