@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import _thread
+from pathlib import Path
 import threading
 import time
 
@@ -209,3 +210,15 @@ def test_a_car_that_is_nudged_stands_after_ctrl_c():
         done.set()
         car.join()
         rclpy.try_shutdown(context=node.context)
+
+
+@pytest.mark.parametrize('words', [
+    ['run', '--output', 'out'], ['train', '--run', 'out'], ['drive', '--join', '--output', 'out']])
+def test_no_command_begins_with_a_vehicle_that_the_policy_does_not_know(
+        tmp_path, monkeypatch, capsys, words):
+    monkeypatch.chdir(tmp_path)
+    Path('car.yaml').write_text('simulator: carracing\nvehicle: {linear_skale: 1}')
+    assert main([*words, '--simulator', 'car.yaml']) == 2
+    error = capsys.readouterr().err
+    assert 'car.yaml: vehicle: unknown setting' in error and error.count('\n') == 1
+    assert not Path('out').exists()

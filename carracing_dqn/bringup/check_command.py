@@ -8,14 +8,13 @@ import argparse
 from carracing_dqn.bringup.findings_table import findings_table
 from carracing_dqn.bringup.models import choose_model
 from carracing_dqn.bringup.monitor import absolute_namespace
+from carracing_dqn.bringup.vehicle import policy_settings
 from carracing_dqn.simulation.fit import BAD, findings, Wanted
 from carracing_dqn.simulation.profiles import Profile, profile_names, profile_of
 from carracing_dqn.simulation.registry import simulator_names
 from dqn_policy_node.model_folder import load_model
-from dqn_policy_node.settings import PolicySettings
 from dqn_policy_node.shipped_models import RANDOM
-from msgs_bridge.errors import BridgeError, SettingsError
-from msgs_bridge.settings import from_mapping
+from msgs_bridge.errors import BridgeError
 from msgs_bridge.terminal import say
 from rich.console import Console
 
@@ -49,10 +48,7 @@ def main(arguments: argparse.Namespace) -> int:
     if profile == Profile() and arguments.profile not in simulator_names():
         raise BridgeError(f'no profile {arguments.profile[:100]!r}: neither a file that ends with '
                           f'.yaml nor one of {", ".join(simulator_names())}')
-    try:
-        settings = from_mapping(PolicySettings, dict(profile.vehicle))
-    except SettingsError as error:
-        raise SettingsError(f'{arguments.profile}: vehicle: {error}') from None
+    settings = policy_settings(arguments.profile, profile.vehicle)
     frame, seconds = _seen_by(arguments.model)
     # rclpy takes a second to load, and a wrong word needs none
     from carracing_dqn.bringup.check_node import look

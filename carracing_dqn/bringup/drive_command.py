@@ -15,8 +15,9 @@ from carracing_dqn.bringup.join_node import find_trainer, free_car
 from carracing_dqn.bringup.monitor import absolute_namespace, GraphState, Monitor
 from carracing_dqn.bringup.run_folders import default_folder, new_folder
 from carracing_dqn.bringup.supervise import check_machine, run_to_the_end
+from carracing_dqn.bringup.vehicle import vehicle_of
 from carracing_dqn.simulation import find_simulator
-from carracing_dqn.simulation.profiles import profile_of, seen_from
+from carracing_dqn.simulation.profiles import seen_from
 from msgs_bridge.errors import BridgeError
 from msgs_bridge.exit_codes import INTERRUPTED
 from msgs_bridge.seeds import epsilon_exponent, MAX_CARS, training_seed
@@ -58,6 +59,7 @@ def main(arguments: argparse.Namespace) -> int:
         raise BridgeError(f'--wait is {arguments.wait:g}; accepted: above 0, up to 1000000')
     namespace = absolute_namespace(arguments.namespace)
     find_simulator(arguments.simulator)
+    vehicle = vehicle_of(arguments.simulator)
     check_machine()
     trainer = find_trainer(namespace, arguments.wait)
     # a profile is another path from each place, and its values cannot be seen from here
@@ -72,8 +74,7 @@ def main(arguments: argparse.Namespace) -> int:
         folder = new_folder(arguments.output or default_folder(f'car_{car}'))
         done = trainer.episodes.get(f'{namespace}/{car_space(car)}', 0)
         graph = car_graph(
-            car, vehicle=profile_of(arguments.simulator).vehicle,
-            compressed=arguments.compressed,
+            car, vehicle=vehicle, compressed=arguments.compressed,
             simulator={**trainer.parameters, 'seed': training_seed(trainer.seed, car),
                        'seed_each_episode': True, 'first_episode': done,
                        'simulator': seen_from(arguments.simulator, folder)},

@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from carracing_dqn.bringup.display import Display
 from carracing_dqn.bringup.graph import driving_graph, Graph, SIMULATOR
@@ -13,7 +15,8 @@ from carracing_dqn.bringup.monitor import absolute_namespace, GraphState, Monito
 from carracing_dqn.bringup.provenance import with_provenance
 from carracing_dqn.bringup.run_folders import default_folder, new_folder, shell_word
 from carracing_dqn.bringup.supervise import check_machine, refuse_second_simulator, run_to_the_end
-from carracing_dqn.simulation.profiles import profile_of, seen_from
+from carracing_dqn.bringup.vehicle import vehicle_of
+from carracing_dqn.simulation.profiles import seen_from
 from carracing_dqn.simulation.registry import CARRACING, frame_seconds
 from msgs_bridge.errors import BridgeError
 from msgs_bridge.exit_codes import INTERRUPTED
@@ -57,6 +60,7 @@ def main(arguments: argparse.Namespace) -> int:
     check_machine()
     model = choose_model(arguments.model)
     repeat = action_repeat(model, frame_seconds(arguments.simulator))
+    vehicle = vehicle_of(arguments.simulator)
     monitor = Monitor(arguments.namespace)
     try:
         refuse_second_simulator(monitor)
@@ -64,7 +68,7 @@ def main(arguments: argparse.Namespace) -> int:
         display = Display(monitor.state, laps_table, laps_line, Console())
         display.say(f'model {as_parameter(model, ".")}; output {folder}')
         interrupted = run_to_the_end(
-            _graph(arguments, model, repeat, folder), namespace=arguments.namespace,
+            _graph(arguments, model, repeat, folder, vehicle), namespace=arguments.namespace,
             folder=folder, monitor=monitor, display=display,
             settled=lambda: monitor.state.ended >= arguments.laps)
     finally:
@@ -92,11 +96,14 @@ def _draw(bag: Path, folder: Path, display: Display, *, hint: bool) -> None:
         display.say(f'no pictures: {error}')
 
 
-def _graph(arguments: argparse.Namespace, model: str, repeat: int, folder: Path) -> Graph:
+def _graph(
+    arguments: argparse.Namespace, model: str, repeat: int, folder: Path,
+    vehicle: Mapping[str, Any],
+) -> Graph:
     graph = driving_graph(
         model=as_parameter(model, folder), seed=arguments.seed,
         simulator=seen_from(arguments.simulator, folder), episodes=arguments.laps,
-        policy=profile_of(arguments.simulator).vehicle,
+        policy=vehicle,
         stepping='real_time' if arguments.real_time else 'lockstep',
         # in real time every frame is shown; in lockstep only those the policy decides on
         action_repeat=1 if arguments.real_time else repeat,

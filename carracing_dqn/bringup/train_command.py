@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
 import importlib.util
 import os
 from pathlib import Path
@@ -22,8 +23,9 @@ from carracing_dqn.bringup.recipe import pairs_of_model, pairs_of_simulator
 from carracing_dqn.bringup.run_folders import default_folder, new_folder, shell_word
 from carracing_dqn.bringup.supervise import check_machine, refuse_second_simulator, run_to_the_end
 from carracing_dqn.bringup.training_display import model_lines, training_line, training_table
+from carracing_dqn.bringup.vehicle import vehicle_of
 from carracing_dqn.simulation import find_simulator
-from carracing_dqn.simulation.profiles import found_from, profile_of
+from carracing_dqn.simulation.profiles import found_from
 from carracing_dqn.studies.simulator_settings import choose_preset, PRESET, SIMULATOR_PRESET
 from msgs_bridge.errors import BridgeError, SettingsError
 from msgs_bridge.exit_codes import INTERRUPTED
@@ -108,7 +110,9 @@ def main(arguments: argparse.Namespace) -> int:
         return learn_from_bags(
             arguments.from_bag, folder, preset, overrides, console,
             namespace=arguments.namespace, resume=resume, tensorboard=arguments.tensorboard)
-    find_simulator(found_from(hyperparameters.simulator, folder))
+    simulator = found_from(hyperparameters.simulator, folder)
+    find_simulator(simulator)
+    vehicle = vehicle_of(simulator)
     shown = None
     if arguments.demonstrations:
         from carracing_dqn.bringup.demonstrations import demonstrations_from
@@ -131,8 +135,8 @@ def main(arguments: argparse.Namespace) -> int:
         if not resume and load_preset(preset, overrides).bf16 != hyperparameters.bf16:
             display.say('this processor has no bfloat16: learning in float32, which is faster')
         interrupted = run_to_the_end(
-            _graph(arguments, hyperparameters, folder, done), namespace=arguments.namespace,
-            folder=folder, monitor=monitor, display=display)
+            _graph(arguments, hyperparameters, folder, done, vehicle),
+            namespace=arguments.namespace, folder=folder, monitor=monitor, display=display)
     except BridgeError as error:
         raise BridgeError(f'{error}{_what_next(folder, "; ")}') from None
     finally:
@@ -202,13 +206,12 @@ def _what_next(folder: Path, before: str = '') -> str:
 
 def _graph(
     arguments: argparse.Namespace, hyperparameters: Hyperparameters, folder: Path,
-    done: ResumePoint,
+    done: ResumePoint, vehicle: Mapping[str, Any],
 ) -> Graph:
     preset = choose_preset(arguments.preset, arguments.simulator)
     if Path(os.path.expanduser(preset)).is_file():
         # paths count from the run folder, which is where the nodes are
         preset = os.path.relpath(Path(os.path.expanduser(preset)).resolve(), folder.resolve())
-    vehicle = profile_of(found_from(hyperparameters.simulator, folder)).vehicle
     trainer = {'run': '.', 'resume': arguments.resume is not None, 'preset': preset,
                'overrides': ','.join(arguments.pairs), 'tensorboard': arguments.tensorboard}
     bag = next_bag(folder).name if arguments.bag else None
