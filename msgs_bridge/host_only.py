@@ -81,7 +81,9 @@ def check_profile() -> None:
 def _set(environment: MutableMapping[str, str]) -> None:
     opened = environment.get(RANGE) == OPEN
     profile = environment.get(PROFILE_VARIABLE)
-    fast_dds = environment.get('RMW_IMPLEMENTATION', 'rmw_fastrtps').startswith('rmw_fastrtps')
+    # an empty name is none to ROS
+    middleware = environment.get('RMW_IMPLEMENTATION') or 'rmw_fastrtps'
+    fast_dds = middleware.startswith('rmw_fastrtps')
     # one of ours may be from before its user opened the range, or of an install that was moved
     ours = fast_dds and (
         not profile or Path(profile).name in (CLOSED_PROFILE.name, OPEN_PROFILE.name))

@@ -167,8 +167,9 @@ def test_one_switch_opens_and_a_profile_of_the_users_own_stays(monkeypatch):
         assert environment_after(monkeypatch, **other) == (left, None)
         monkeypatch.delenv('RMW_IMPLEMENTATION')
     assert environment_after(monkeypatch, RMW_IMPLEMENTATION='rmw_zenoh_cpp')[0] == 'LOCALHOST'
-    monkeypatch.setenv('RMW_IMPLEMENTATION', 'rmw_fastrtps_cpp')
-    assert environment_after(monkeypatch) == (CLOSED, profile)
+    for fast_dds in ('rmw_fastrtps_cpp', ''):
+        monkeypatch.setenv('RMW_IMPLEMENTATION', fast_dds)
+        assert environment_after(monkeypatch) == (CLOSED, profile)
 
 
 def test_a_profile_of_ours_that_is_gone_is_replaced_by_the_present_one(monkeypatch, tmp_path):

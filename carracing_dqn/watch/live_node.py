@@ -12,7 +12,7 @@ import dataclasses
 import itertools
 import queue
 import time
-from typing import Any
+from typing import Any, NamedTuple
 
 from carracing_dqn.watch.car import IMAGE_TYPES, TWIST_TYPES
 from carracing_dqn.watch.commands import calls, COMMANDS
@@ -55,14 +55,11 @@ POLICY_PARAMETERS = tuple(field.name for field in dataclasses.fields(PolicySetti
 ANSWER_SECONDS = 10.0
 
 
-class Ear:
-    """A subscription of the watch, and whether it has heard anything."""
+class Ear(NamedTuple):
+    """A subscription of the watch and the type of its messages."""
 
-    def __init__(self, subscription: Subscription, type_name: str, now: float) -> None:
-        """Begin to listen; `now` in s."""
-        self.subscription, self.type_name = subscription, type_name
-        self.heard_at: float | None = None
-        self.made_at = now
+    subscription: Subscription
+    type_name: str
 
 
 class LiveSource(ListeningNode):
@@ -191,7 +188,7 @@ class LiveSource(ListeningNode):
     ) -> None:
         """Subscribe to a topic; what cannot be heard is left alone for a while."""
         try:
-            self._ears[name] = self._listen(name, ends.type_name, publishers, now)
+            self._ears[name] = self._listen(name, ends.type_name, publishers)
         except Exception as error:
             # of what the wire names anything may be wrong, and rcl and DDS raise as they like
             self._refused[name, ends.type_name] = now + REFUSED_SECONDS
@@ -209,9 +206,7 @@ class LiveSource(ListeningNode):
             return True
         return now - node.since > UNWELL_SECONDS and 'subscription' not in node.summary
 
-    def _listen(
-        self, name: str, type_name: str, publishers: list[TopicEndpointInfo], now: float,
-    ) -> Ear:
+    def _listen(self, name: str, type_name: str, publishers: list[TopicEndpointInfo]) -> Ear:
         latched = name.rpartition('/')[2] in LATCHED
         qos = QoSProfile(
             depth=LATCHED_DEPTH if latched else HEALTH_DEPTH
@@ -225,7 +220,7 @@ class LiveSource(ListeningNode):
         subscription = self._node.create_subscription(
             message_class(type_name), name, _unused, qos, raw=True, callback_group=self._group,
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False))
-        return Ear(subscription, type_name, now)
+        return Ear(subscription, type_name)
 
     # --- messages
 
@@ -239,7 +234,6 @@ class LiveSource(ListeningNode):
                         if taken is None:
                             break
                         data, info = taken
-                        ear.heard_at = now
                         self.state.take(name, ear.type_name, data, now,
                                         info['publication_sequence_number'] or 0)
             except Exception:
