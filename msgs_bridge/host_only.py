@@ -70,7 +70,9 @@ def check_profile() -> None:
     if not profile or os.environ.get(RANGE) == OPEN:
         return
     try:
-        ElementTree.fromstring(read_regular(profile, MAX_PROFILE_BYTES, BridgeError))
+        root = ElementTree.fromstring(read_regular(profile, MAX_PROFILE_BYTES, BridgeError))
+        if root.tag.rpartition('}')[2] not in ('dds', 'profiles'):
+            raise BridgeError(f'{profile}: no profiles in it')
     except (BridgeError, ElementTree.ParseError, ValueError, LookupError) as error:
         reason = str(error) if isinstance(error, BridgeError) else f'{profile}: no XML'
         raise BridgeError(
@@ -93,10 +95,10 @@ def _set(environment: MutableMapping[str, str]) -> None:
         return
     environment[PROFILE_VARIABLE] = str(
         share_path(OPEN_PROFILE if opened else CLOSED_PROFILE).absolute())
+    # the older switch, which would take the place of the range
+    environment.pop('ROS_LOCALHOST_ONLY', None)
     if not opened:
         environment[SKIP_VARIABLE] = '1'
-        # the older switch, which would take the place of the range
-        environment.pop('ROS_LOCALHOST_ONLY', None)
     elif profile:
         environment.pop(SKIP_VARIABLE, None)
 

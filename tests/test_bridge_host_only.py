@@ -148,8 +148,9 @@ def test_one_switch_opens_and_a_profile_of_the_users_own_stays(monkeypatch):
     assert os.environ[SKIP_VARIABLE] == '1'
     for closed in ('subnet', 'LOCALHOST', CLOSED, ''):
         assert environment_after(monkeypatch, **{RANGE: closed}) == (CLOSED, profile)
-    environment_after(monkeypatch, ROS_LOCALHOST_ONLY='1')
-    assert 'ROS_LOCALHOST_ONLY' not in os.environ
+    for range_ in ('LOCALHOST', 'SUBNET'):
+        environment_after(monkeypatch, ROS_LOCALHOST_ONLY='1', **{RANGE: range_})
+        assert 'ROS_LOCALHOST_ONLY' not in os.environ
     assert environment_after(monkeypatch, **{RANGE: 'OFF'}) == ('OFF', profile)
     assert environment_after(monkeypatch, **{RANGE: 'SUBNET'}) == ('SUBNET', opened)
     assert SKIP_VARIABLE not in os.environ
@@ -217,7 +218,8 @@ def test_publishers_look_as_often_for_what_has_not_arrived_however_open_the_grap
     assert period[0] == period[1] == '200000000'
 
 
-@pytest.mark.parametrize('content', [None, b'no profile', b'\xff\xfe', 'fifo'])
+@pytest.mark.parametrize('content', [
+    None, b'no profile', b'\xff\xfe', b'<launch><profiles/></launch>', 'fifo'])
 def test_a_profile_that_cannot_be_read_opens_nothing(monkeypatch, tmp_path, content):
     own = tmp_path / 'own.xml'
     if content == 'fifo':

@@ -39,6 +39,8 @@ def test_a_machine_that_passes_its_tests_is_well(own_domain):
     ({'ROS_DOMAIN_ID': '150'}, 'domain', UNSURE, 'up to 101'),
     ({'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SUBNET'}, 'discovery', UNSURE, 'unset'),
     ({'FASTRTPS_DEFAULT_PROFILES_FILE': '/nowhere.xml'}, 'discovery', BAD, 'unset'),
+    ({'FASTRTPS_DEFAULT_PROFILES_FILE': __file__}, 'discovery', UNSURE, 'firewall'),
+    ({'RMW_IMPLEMENTATION': 'rmw_zenoh_cpp'}, 'discovery', UNSURE, 'firewall'),
     ({'ROS_LOG_DIR': '/proc/nowhere'}, 'home', BAD, 'ROS_LOG_DIR'),
 ])
 def test_what_is_wrong_is_named_with_what_mends_it(

@@ -17,7 +17,9 @@ import sys
 from carracing_dqn.simulation.fit import BAD, Finding, GOOD, UNSURE
 from msgs_bridge.before_rclpy import is_domain
 from msgs_bridge.errors import BridgeError
-from msgs_bridge.host_only import OPEN, PROFILE_VARIABLE, RANGE, stay_on_this_host
+from msgs_bridge.host_only import (
+    OPEN, PROFILE_VARIABLE, RANGE, stay_on_this_host, UNPROFILED,
+)
 from msgs_bridge.log_folder import ensure_log_folder, VARIABLE as LOG_VARIABLE
 from msgs_bridge.machine import code_version, cores
 
@@ -115,6 +117,10 @@ def _range() -> Finding:
     if profile and not Path(profile).is_file():
         return Finding('discovery', BAD, f'{found}: there is no such file',
                        f'unset {PROFILE_VARIABLE}')
+    if chosen == UNPROFILED:
+        return Finding('discovery', UNSURE, f"{found}: who knows this host's address may get in",
+                       f'unset {PROFILE_VARIABLE} and RMW_IMPLEMENTATION, or a firewall; '
+                       'docs/security.md')
     return Finding('discovery', GOOD, f'{found}: this host only')
 
 
@@ -134,8 +140,7 @@ def _sockets() -> Finding:
         return Finding('sockets', GOOD, 'UDP on 127.0.0.1 works')
     if most < ENOUGH_RECEIVE:
         return Finding('sockets', UNSURE, f'UDP works; at most {most >> 10} KiB wait (rmem_max)',
-                       f'sysctl -w net.core.rmem_max={ENOUGH_RECEIVE << 2} for large cameras of '
-                       'other hosts')
+                       f'sysctl -w net.core.rmem_max={ENOUGH_RECEIVE << 2} for large cameras')
     return Finding('sockets', GOOD, f'UDP on 127.0.0.1 works, up to {most >> 10} KiB wait')
 
 
