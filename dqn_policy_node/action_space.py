@@ -261,6 +261,22 @@ ACTION_SPACES: dict[str, ActionSpace] = {
             ('brake', -0.4, 0.0),
             ('right brake', -0.2, -0.3),
         ),
+        # as grid9, with a quarter of the lock at full gas and a brake that is felt
+        _make(
+            'grid12',
+            ('left gas', 0.2, 0.3),
+            ('gas', 1.0, 0.0),
+            ('right gas', 0.2, -0.3),
+            ('left', 0.0, 1.0),
+            ('none', 0.0, 0.0),
+            ('right', 0.0, -1.0),
+            ('left brake', -0.2, 0.3),
+            ('brake', -0.4, 0.0),
+            ('right brake', -0.2, -0.3),
+            ('gentle left gas', 1.0, 0.1),
+            ('gentle right gas', 1.0, -0.1),
+            ('hard brake', -0.8, 0.0),
+        ),
         # as grid9, with gentle steering beside full lock
         _make(
             'fine11',

@@ -29,7 +29,7 @@ TOY = Hybrid('toy', (
 def test_the_kinds_are_there():
     assert {ACTION_SPACES[name].kind for name in AXES} == {'continuous', 'hybrid'}
     assert {len(space) for space in ACTION_SPACES.values() if space.kind == 'discrete'} == {
-        5, 7, 9, 11}
+        5, 7, 9, 11, 12}
 
 
 @settings(deadline=None)

@@ -19,6 +19,9 @@ PLACES = 200
 MOST_ARMS = 12
 """Arms that a figure can tell apart; of more, the best are drawn."""
 
+CROWD = 6
+"""Arms whose names find a place among their curves."""
+
 
 def band(curves: Sequence[Curve]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """
@@ -68,7 +71,10 @@ def draw(
         left.xaxis.set_major_locator(MaxNLocator(6))
         left.xaxis.set_major_formatter(EngFormatter(sep=''))
         left.set_ylabel('training return, mean of 20')
-        if left.lines:
+        if len(left.lines) > CROWD:
+            # within the axes it would lie on the curves
+            figure.legend(handles=left.get_lines(), loc='outside lower center', ncols=4)
+        elif left.lines:
             left.legend(loc='best')
         if right is not None:
             right.set_yticks(range(len(shown)), [name[:28] for name in shown])
