@@ -269,6 +269,20 @@ def test_a_child_that_is_stopped_while_it_imports_says_nothing(group):
     assert list(child.words) == ['importing']
 
 
+def test_a_child_that_is_stopped_as_soon_as_it_starts_says_nothing(group):
+    """Python's own start would answer with a traceback."""
+    children = []
+    for number in range(12):
+        child = group.start(f'early{number}', node_command('dqn_policy_node', {}, supervised=True))
+        children.append(child)
+        time.sleep(number * 0.004)
+        child.process.send_signal(signal.SIGINT)
+    for child in children:
+        assert child.process.wait(30) == -signal.SIGINT
+    wait_for(lambda: all(child.code is not None for child in children), 10, 'their ends')
+    assert [list(child.words) for child in children] == [[]] * len(children)
+
+
 def test_signals_wait_until_all_are_stopped(group):
     child = start(group, 'slow_to_end', f"""
         def end(*_):

@@ -44,6 +44,7 @@ def main() -> int:
     arguments, words = parser.parse_args(sys.argv[1:ours]), sys.argv[ours:]
     # a node that is stopped while it still imports has nothing to save and nothing to say
     signal.signal(signal.SIGINT, signal.SIG_DFL)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     end_with_parent(arguments.parent)
     os.nice(arguments.nice)
     module = importlib.import_module(arguments.module)

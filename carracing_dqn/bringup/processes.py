@@ -22,6 +22,9 @@ from msgs_bridge.exit_codes import INTERRUPTED
 from msgs_bridge.plain_text import plain
 from msgs_bridge.regular_file import open_at_once
 
+CHILD = 'carracing_dqn.bringup.child'
+"""What a node that a command has started is before it is itself."""
+
 LAST_WORDS = 12
 """Lines of output that are kept for the message about a child that died."""
 
@@ -62,7 +65,7 @@ def node_command(
         remaps: what its topics are called instead.
     """
     command = [
-        sys.executable, '-m', 'carracing_dqn.bringup.child', '--parent', str(os.getpid()),
+        sys.executable, '-m', CHILD, '--parent', str(os.getpid()),
         '--nice', str(nice), f'--folder={folder}', *(['--supervised'] if supervised else []),
         '-m', module, '--ros-args']
     if namespace:
@@ -111,10 +114,17 @@ class Child:
         file = os.fdopen(open_at_once(log, os.O_WRONLY | os.O_APPEND | os.O_CREAT), 'a',
                          encoding='utf-8')
         # a session of its own, so that Ctrl-C in a terminal reaches only this process
-        self.process = subprocess.Popen(
-            list(command), stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT, text=True, errors='replace', env=environment,
-            start_new_session=True)
+        # a child inherits that SIGINT waits, until `child` says what it means: Python's own start
+        # would answer it with a traceback
+        waits = {signal.SIGINT} if CHILD in command else set()
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, waits)
+        try:
+            self.process = subprocess.Popen(
+                list(command), stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT, text=True, errors='replace', env=environment,
+                start_new_session=True)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
         self._reader = threading.Thread(target=self._read, args=(file,), daemon=True)
         self._reader.start()
 

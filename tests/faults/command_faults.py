@@ -202,11 +202,12 @@ def _attack(case: CommandCase, random: Random, place: Path) -> None:
     node.create_subscription(
         kind, topic.name, lambda data: heard.append(data) if not heard else None,
         qos_profile(topic), raw=True)
-    publisher = node.create_publisher(kind, topic.name, qos_profile(topic))
     try:
         until = time.monotonic() + UP_SECONDS
         while not heard and time.monotonic() < until:
             executor.spin_once(timeout_sec=0.1)
+        # not before: a command refuses to start beside somebody who publishes images
+        publisher = node.create_publisher(kind, topic.name, qos_profile(topic))
         odd = {'garbage': garbage, 'wrong': wrong}[case.fault]
         until = time.monotonic() + ATTACK_SECONDS
         while heard and time.monotonic() < until:
