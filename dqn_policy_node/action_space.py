@@ -217,6 +217,19 @@ def _beside_any(name: str, discrete: Discrete) -> Hybrid:
         for own, command in zip(discrete.names, discrete.commands)), _ANY))
 
 
+# three ways to steer x gas, coast and a light brake
+_GRID9 = (
+    ('left gas', 0.2, 0.3),
+    ('gas', 1.0, 0.0),
+    ('right gas', 0.2, -0.3),
+    ('left', 0.0, 1.0),
+    ('none', 0.0, 0.0),
+    ('right', 0.0, -1.0),
+    ('left brake', -0.2, 0.3),
+    ('brake', -0.4, 0.0),
+    ('right brake', -0.2, -0.3),
+)
+
 ACTION_SPACES: dict[str, ActionSpace] = {
     space.name: space for space in (
         # the report, section 2.2.2
@@ -248,31 +261,10 @@ ACTION_SPACES: dict[str, ActionSpace] = {
             ('gentle right', 0.0, -0.3),
             ('right', 0.0, -1.0),
         ),
-        # three ways to steer x gas, coast and a light brake
-        _make(
-            'grid9',
-            ('left gas', 0.2, 0.3),
-            ('gas', 1.0, 0.0),
-            ('right gas', 0.2, -0.3),
-            ('left', 0.0, 1.0),
-            ('none', 0.0, 0.0),
-            ('right', 0.0, -1.0),
-            ('left brake', -0.2, 0.3),
-            ('brake', -0.4, 0.0),
-            ('right brake', -0.2, -0.3),
-        ),
+        _make('grid9', *_GRID9),
         # as grid9, with a quarter of the lock at full gas and a brake that is felt
         _make(
-            'grid12',
-            ('left gas', 0.2, 0.3),
-            ('gas', 1.0, 0.0),
-            ('right gas', 0.2, -0.3),
-            ('left', 0.0, 1.0),
-            ('none', 0.0, 0.0),
-            ('right', 0.0, -1.0),
-            ('left brake', -0.2, 0.3),
-            ('brake', -0.4, 0.0),
-            ('right brake', -0.2, -0.3),
+            'grid12', *_GRID9,
             ('gentle left gas', 1.0, 0.1),
             ('gentle right gas', 1.0, -0.1),
             ('hard brake', -0.8, 0.0),

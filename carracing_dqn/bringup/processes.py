@@ -113,7 +113,6 @@ class Child:
         # not `with`: the reading thread has it until the process ends
         file = os.fdopen(open_at_once(log, os.O_WRONLY | os.O_APPEND | os.O_CREAT), 'a',
                          encoding='utf-8')
-        # a session of its own, so that Ctrl-C in a terminal reaches only this process
         # a child inherits that SIGINT waits, until `child` says what it means: Python's own start
         # would answer it with a traceback
         waits = {signal.SIGINT} if CHILD in command else set()
@@ -122,6 +121,7 @@ class Child:
             self.process = subprocess.Popen(
                 list(command), stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT, text=True, errors='replace', env=environment,
+                # so that Ctrl-C in a terminal reaches only this process
                 start_new_session=True)
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
