@@ -78,7 +78,7 @@ def find_trainer(namespace: str, seconds: float) -> Handout:
 
         node.create_subscription(
             message_class(topics.WEIGHTS.type_name), topics.WEIGHTS.name, take,
-            qos_profile(topics.WEIGHTS, depth=topics.BURST_DEPTH))
+            qos_profile(topics.WEIGHTS))
         deadline = time.monotonic() + seconds
         while not heard:
             if time.monotonic() > deadline:

@@ -171,7 +171,7 @@ class LiveSource(ListeningNode):
     def _follow(
         self, name: str, ends: TopicEnds, publishers: list[TopicEndpointInfo], now: float,
     ) -> None:
-        """Subscribe to a topic if that is not noticed."""
+        """Subscribe to a topic if that is not noticed; what cannot be heard is left a while."""
         if name in self._ears or (name, ends.type_name) in self._refused:
             return
         if not all(self._may_listen_to(end.node, now) for end in ends.publishers) and (
@@ -181,12 +181,6 @@ class LiveSource(ListeningNode):
                 not ends.subscriptions):
             # who sends them says that nobody hears them
             return
-        self._listen_if_possible(name, ends, publishers, now)
-
-    def _listen_if_possible(
-        self, name: str, ends: TopicEnds, publishers: list[TopicEndpointInfo], now: float,
-    ) -> None:
-        """Subscribe to a topic; what cannot be heard is left alone for a while."""
         try:
             self._ears[name] = self._listen(name, ends.type_name, publishers)
         except Exception as error:
