@@ -8,7 +8,7 @@ import importlib
 
 BENCHMARKS = (
     'sim', 'graph', 'learner', 'bags', 'cars', 'pyracerz', 'robustness', 'watch',
-    'demonstrations')
+    'demonstrations', 'transport')
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
