@@ -168,7 +168,7 @@ def test_processes_do_not_change_the_laps():
 
 
 def test_an_unknown_simulator_is_refused():
-    with pytest.raises(SimulatorError, match='accepted: carracing, fast, gymnasium'):
+    with pytest.raises(SimulatorError, match='accepted: carracing, carracing_colours, '):
         list(drive_laps(PolicySource('random'), [1], simulator='slow'))
 
 

@@ -165,7 +165,8 @@ def test_the_report_preset_names_every_number_that_it_could_change():
     unused = {'learning_rate_hold', 'epsilon_decisions', 'standing_growth', 'standing_limit',
               'tile_missed_limit', 'early_end_terminal', 'quantiles', 'tuner_step', 'tuner_least',
               'epsilon_spread', 'demonstrations', 'demonstration_weight', 'demonstration_margin',
-              'demonstration_updates', 'demonstration_share', 'flush_denormals'}
+              'demonstration_updates', 'demonstration_share', 'flush_denormals',
+              'track_retries'}
     assert set(describe(Hyperparameters)) - set(values) == unused
 
 
@@ -178,6 +179,7 @@ def test_the_report_preset_names_every_number_that_it_could_change():
     ('epsilon_end: 0.5\nepsilon_start: 0.1', 'epsilon_end 0.5 is above'),
     ('learning_rate_end: 0.1', 'learning_rate_end 0.1 is above'),
     ('learning_starts: 200000', 'learning_starts 200000 must be below'),
+    ('track_retries: 2', 'never comes back to one'),
     ('5: 6', 'unknown setting 5'),
     ('gamma: 0.5\ngamma: 0.9', "'gamma' comes twice"),
     ('gamma: 1' + '0' * 400, 'so many digits'), ('hidden: 0x' + 'f' * 5000, 'so many digits'),

@@ -16,6 +16,7 @@ from carracing_dqn.simulation import registry
 from carracing_dqn.simulation.drive import Drive
 from carracing_dqn.simulation.settings import node_settings, settings_for, SimulationSettings
 from carracing_dqn.simulation.stepping import Lockstep, RealTime
+from carracing_dqn.simulation.track_retries import LEAST, TrackRetries
 from carracing_sim_node import info_fields, make_env
 from carracing_sim_node.controls import controls
 from msgs_bridge.errors import MessageError, SettingsError, SimulatorError
@@ -38,7 +39,7 @@ def test_simulators_are_found_by_name_or_place():
 
 
 @pytest.mark.parametrize(('name', 'told'), [
-    ('slow', 'accepted: carracing, fast, gymnasium'), ('', 'accepted'),
+    ('slow', 'accepted: carracing, carracing_colours, '), ('', 'accepted'),
     ('no_such_module:Toy', 'cannot import'), (':Toy', 'cannot import'),
     ('toy_simulator:Nothing', "has no 'Nothing'"), ('toy_simulator:', "has no ''"),
     ('toy_simulator:HEIGHT', 'reset'), ('collections:Counter', 'reset, advance'),
@@ -189,6 +190,33 @@ def test_seeds_streams_and_episodes_that_are_passed_over():
     stream = starts(seed=7)
     assert starts(seed=7, first_episode=1)[:3] == stream[1:]
     assert stream[0][2] == each[0][2] and stream[1][2] != each[1][2]
+
+
+def test_only_what_went_worse_than_most_is_driven_again_and_not_for_ever():
+    retries = TrackRetries(3)
+    assert not any(retries.again(float(number)) for number in range(LEAST, 0, -1))
+    assert [retries.again(-1.0) for _ in range(4)] == [True, True, True, False]
+    assert [retries.again(value) for value in (-1.0, 15.0, 15.0)] == [True, False, False]
+    # tracks that were retried have counted once each, and not set what is low
+    assert retries.again(0.5)
+    assert not any(TrackRetries(0).again(float(number)) for number in range(100, 0, -1))
+
+
+def test_a_track_that_went_badly_comes_again_with_its_seed():
+    drive = open_drive({'simulator': TOY, 'seed_each_episode': True, 'seed': 7,
+                        'track_retries': 2})
+    lanes = {}
+    again = 0
+    for _ in range(120):
+        before, frame = drive.seed, drive.begin()
+        assert frame.step.seed in (before, 7 + drive.episode)
+        again += frame.step.seed == before
+        lanes.setdefault(frame.step.seed, []).append(frame.pixels.tobytes())
+        while not frame.step.ended:
+            # straight on earns nothing, to the left half of the time
+            frame = drive.advance(Command(0.0, float(drive.episode % 2)), None)
+    assert 5 < again < 60
+    assert all(len(set(starts)) == 1 and len(starts) <= 3 for starts in lanes.values())
 
 
 def test_passing_over_takes_no_longer_than_it_is_given():

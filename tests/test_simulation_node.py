@@ -287,7 +287,7 @@ def test_a_node_that_cannot_join_lets_go_of_its_simulator(graph):
 
 
 @pytest.mark.parametrize(('simulator', 'told'), [
-    ('slow', 'accepted: carracing, fast, gymnasium'), ('failing:Nothing', "has no 'Nothing'"),
+    ('slow', 'accepted: carracing, carracing_colours, '), ('failing:Nothing', "has no 'Nothing'"),
     ('failing:Unmade', 'failed in __init__: SystemExit: 0 (failing.py'),
     ('toy_simulator:Toy', "unknown setting 'zoom'")])
 def test_a_simulator_that_is_not_there_ends_the_node_with_one_line(graph, simulator, told):

@@ -98,6 +98,9 @@ class Hyperparameters:
     seed_each_episode: bool = setting(
         False, 'every training episode has a seed of its own, out of the space of training '
         '(msgs_bridge/seeds.py); without it they are the stream of one seed (3.1)')
+    track_retries: int = setting(
+        0, 'with seed_each_episode: how often a track is driven again at once on which the return '
+        'was among the lowest tenth of the last 100 (arXiv 2010.03934)', low=0, high=100)
     simulator: str = setting(
         'carracing', 'simulator of the training episodes and of the validation: the name of an '
         'installed one, or module:Class')
@@ -310,6 +313,9 @@ class Hyperparameters:
                 f'validation_seed {self.validation_seed} and the {self.validation_tracks} tracks '
                 f'from it on must lie from {VALIDATION} to {TRAINING - 1}, where nothing else '
                 'draws (msgs_bridge/seeds.py)')
+        if self.track_retries and not self.seed_each_episode:
+            raise SettingsError(f'track_retries is {self.track_retries}, but a stream of tracks '
+                                'never comes back to one; seed_each_episode: true goes with it')
         if self.learning_starts >= self.replay_capacity:
             raise SettingsError(f'learning_starts {self.learning_starts} must be below '
                                 f'replay_capacity {self.replay_capacity}')
@@ -329,8 +335,8 @@ class Hyperparameters:
             'seed': training_seed(self.seed, car or 0) if of_episode else self.seed,
             'seed_each_episode': of_episode,
             'simulator': self.simulator,
-            # other simulators may not know them
-            **{name: value for name in ('early_end_frames', 'early_end_lap')
+            # other simulators may not know all of them
+            **{name: value for name in ('early_end_frames', 'early_end_lap', 'track_retries')
                if (value := getattr(self, name))}}
 
     @property

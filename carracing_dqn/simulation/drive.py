@@ -14,6 +14,7 @@ import numpy as np
 from carracing_dqn.simulation.checks import Checks, let_go_of
 from carracing_dqn.simulation.registry import construct, DEFAULT
 from carracing_dqn.simulation.settings import settings_for, SimulationSettings
+from carracing_dqn.simulation.track_retries import TrackRetries
 from msgs_bridge.errors import SimulatorError
 from msgs_bridge.settings import from_mapping
 from msgs_bridge.simulator import Outcome, Simulator
@@ -53,6 +54,7 @@ class Drive:
         simulator: what is driven.
         settings: which episodes, and how many simulated frames to a published one.
         episode: number of the present episode, -1 before the first.
+        seed: of the present episode; -1 when it came from the stream, or is none.
         stamp: simulation time in ns; it never goes back.
         running: whether an episode has begun and not ended.
     """
@@ -67,6 +69,7 @@ class Drive:
         self.simulator = simulator
         self.settings = settings
         self.episode = settings.first_episode - 1
+        self.seed = -1
         self.stamp = 0
         self.running = False
         self._checks = Checks(settings.simulator)
@@ -84,6 +87,9 @@ class Drive:
         self._to_skip = (
             settings.first_episode if simulator.seeded and not settings.seed_each_episode else 0)
         self._stream_seed: int | None = settings.seed
+        self._retries = TrackRetries(settings.track_retries)
+        # of the track that the next episode has again
+        self._again: int | None = None
         self._decision = self._frames = self._unanswered = 0
         self._return = 0.0
 
@@ -97,15 +103,6 @@ class Drive:
     def decision(self) -> int:
         """Return the number of the newest frame within its episode."""
         return self._decision
-
-    @property
-    def seed(self) -> int:
-        """Return the seed of the present episode; -1 when it came from the stream, or is none."""
-        if not self.simulator.seeded:
-            return -1
-        if self.settings.seed_each_episode:
-            return self.settings.seed + self.episode
-        return self.settings.seed if self.episode == 0 else -1
 
     def skip_for(self, seconds: float) -> int:
         """
@@ -135,9 +132,10 @@ class Drive:
         if not self.simulator.seeded:
             seed = None
         elif self.settings.seed_each_episode:
-            seed = self.seed
+            seed = self.settings.seed + self.episode if self._again is None else self._again
         else:
             seed, self._stream_seed = self._stream_seed, None
+        self._again, self.seed = None, -1 if seed is None else seed
         outcome = self._checks.reset(self.simulator, seed)
         self.running = True
         self._decision = self._frames = self._unanswered = 0
@@ -174,6 +172,8 @@ class Drive:
         if not step.ended:
             return Frame(self.stamp, outcome.pixels, step, None)
         self.running = False
+        if self.settings.seed_each_episode and self._retries.again(self._return):
+            self._again = self.seed
         return Frame(self.stamp, outcome.pixels, step, self._summary(step))
 
     def abandon(self) -> dict[str, float] | None:

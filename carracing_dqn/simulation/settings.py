@@ -31,6 +31,9 @@ class SimulationSettings:
     seed_each_episode: bool = setting(
         False, 'true: episode n has the seed seed + n; false: seed once, then the stream '
         'that follows, as gymnasium does')
+    track_retries: int = setting(
+        0, 'with seed_each_episode: how often a track is driven again at once on which the return '
+        'was among the lowest tenth of the last 100, for training', low=0, high=100)
     first_episode: int = setting(
         0, 'number of the first episode; earlier ones are passed over, for resuming',
         low=0, high=10**9)
