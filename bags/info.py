@@ -128,11 +128,11 @@ def _episodes(info: dict[str, Any]) -> Group | Table | Text:
     for column in ('episode', 'seed', 'decisions', 'frames', 'return'):
         table.add_column(column, justify='right')
     table.add_column('end')
-    for episode in episodes[:MANY_EPISODES]:
+    for number, episode in enumerate(episodes[:MANY_EPISODES], 1):
         seed = '' if episode.seed < 0 else str(episode.seed)
         table.add_row(
             str(episode.number), seed, str(episode.decisions), str(episode.frames),
-            f'{episode.episode_return:.1f}', _end(episode))
+            f'{episode.episode_return:.1f}', _end(episode, last=number == len(episodes)))
     mean = info['mean_return']
     told = (f'{len(episodes)} episodes, {info["whole_episodes"]} whole, '
             f'{info["laps"]} laps finished')
@@ -143,14 +143,14 @@ def _episodes(info: dict[str, Any]) -> Group | Table | Text:
     return Group(table, Text(told))
 
 
-def _end(episode: Episode) -> str:
+def _end(episode: Episode, *, last: bool) -> str:
     if episode.lap_finished:
         return 'lap finished'
     if episode.terminated:
         return 'terminated'
     if episode.truncated:
         return 'cut off'
-    return 'goes on after the bag'
+    return 'goes on after the bag' if last else 'reset, or its end was not recorded'
 
 
 def _policies(profiles: list[dict[str, Any]], name: str) -> str:

@@ -13,9 +13,9 @@ from collections.abc import Container, Iterator, Sequence
 import contextlib
 import dataclasses
 import heapq
+import io
 import os
 from pathlib import Path
-import resource
 import stat
 from typing import NamedTuple
 import zlib
@@ -36,6 +36,8 @@ MAX_UNPACKED = 1 << 30
 STRETCH_BYTES = 4 << 20
 # read at once on the way from record to record: a page, for what lies in a chunk is not needed
 WINDOW_BYTES = 4096
+# of a bag of more files than these none stays open: a process may have some hundred
+MOST_OPEN = 16
 # the longest name of a compression
 MAX_NAME = 16
 ENCODING = 'cdr'
@@ -157,13 +159,11 @@ class McapFile:
         self._plain: list[int] = []
         self._window_start, self._window = 0, b''
         try:
-            # opening a FIFO would wait for somebody to write into it
-            if not stat.S_ISREG(self.path.stat().st_mode):
-                raise BagError(f'{path} is not a regular file')
-            self._file = self.path.open('rb', buffering=0)
-            self.size = self._file.seek(0, 2)
+            self._file = self._open()
+            self._status = os.fstat(self._file.fileno())
         except OSError as error:
             raise BagError(f'{path}: {error.strerror}') from None
+        self.size = self._status.st_size
         try:
             self._scan(strict)
             if strict and not self.complete:
@@ -174,7 +174,7 @@ class McapFile:
             raise
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Let go of the file; what is read of it from now on opens it for that moment alone."""
         self._file.close()
 
     def __enter__(self) -> McapFile:
@@ -203,18 +203,36 @@ class McapFile:
         Return bytes of the file as they are now.
 
         Raises:
-            BagError: it has been cut short, or the disk fails.
+            BagError: it has been cut short or replaced, or the disk fails.
         """
         try:
             parts, there = [], min(stop, self.size)
-            while start < there and (part := os.pread(self._file.fileno(), there - start, start)):
-                parts.append(part)
-                start += len(part)
+            with self._opened() as number:
+                while start < there and (part := os.pread(number, there - start, start)):
+                    parts.append(part)
+                    start += len(part)
         except OSError as error:
             raise BagError(f'{self.path}: {error.strerror}') from None
         if start < stop:
             raise BagError(f'{self.path} was cut short meanwhile')
         return parts[0] if len(parts) == 1 else b''.join(parts)
+
+    @contextlib.contextmanager
+    def _opened(self) -> Iterator[int]:
+        """Hold a descriptor of the file, a new one if it was let go of."""
+        if not self._file.closed:
+            yield self._file.fileno()
+            return
+        with self._open() as file:
+            if not os.path.samestat(os.fstat(file.fileno()), self._status):
+                raise BagError(f'{self.path} was replaced meanwhile')
+            yield file.fileno()
+
+    def _open(self) -> io.FileIO:
+        # opening a FIFO would wait for somebody to write into it
+        if not stat.S_ISREG(self.path.stat().st_mode):
+            raise BagError(f'{self.path} is not a regular file')
+        return self.path.open('rb', buffering=0)
 
     def span_bytes(self, span: Span, *, check: bool = True) -> memoryview:
         """
@@ -482,12 +500,3 @@ class McapFile:
 
     def _damaged(self, span: Span, why: str) -> BagError:
         return BagError(f'{self.path}: the chunk at byte {span.offset} is damaged: {why}')
-
-
-def make_room(files: int) -> None:
-    """Let the process have so many files open, as far as it may."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    # a few files need no more than there is
-    if files > soft // 2:
-        wanted = soft + files if hard == resource.RLIM_INFINITY else min(soft + files, hard)
-        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))

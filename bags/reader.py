@@ -11,7 +11,7 @@ from collections.abc import Collection, Iterator
 from pathlib import Path
 
 from bags.errors import BagError
-from bags.mcap_file import make_room, McapFile
+from bags.mcap_file import McapFile, MOST_OPEN
 from bags.messages import BagMessage, BagTopic, Storage
 from bags.metadata import BagMetadata, FILE_NAME, read_metadata
 from bags.qos_text import qos_from_text
@@ -186,7 +186,6 @@ class McapStorage:
         self.files: list[McapFile] = []
         self.topics: dict[str, BagTopic] = {}
         self.provenance: dict[str, str] = {}
-        make_room(len(paths))
         try:
             for path in paths:
                 file = McapFile(path, strict=strict)
@@ -198,6 +197,8 @@ class McapStorage:
                 problems.extend(file.damage)
                 self._learn_channels(file)
                 self.provenance.update(file.metadata.get('provenance', {}))
+                if len(paths) > MOST_OPEN:
+                    file.close()
         except BaseException:
             self.close()
             raise

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from bags.compression import COMPRESSIONS
 from bags.errors import BagError
-from bags.mcap_file import ENCODING, make_room, McapFile
+from bags.mcap_file import ENCODING, McapFile, MOST_OPEN
 from bags.metadata import BagMetadata, FILE_NAME, metadata_from_record, read_metadata
 from bags.qos_text import qos_from_text
 from bags.reader import data_files, file_number
@@ -61,13 +61,14 @@ def recover_bag(source: Path | str, target: Path | str) -> Recovery:
     if not paths:
         raise BagError(f'{source} holds no .mcap file; others cannot be recovered here')
     recovery = Recovery()
-    make_room(len(paths))
     files = []
     try:
         for path in paths:
             try:
                 file, lost = open_damaged(path)
                 files.append(file)
+                if len(paths) > MOST_OPEN:
+                    file.close()
                 if not file.complete:
                     recovery.lost_bytes += lost
                     recovery.remarks.append(

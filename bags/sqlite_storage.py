@@ -30,7 +30,7 @@ class SqliteStorage:
 
     def __init__(self, paths: Sequence[Path], *, packed: bool) -> None:
         """
-        Open the files.
+        Look at the files, one after another.
 
         Args:
             paths: the files.
@@ -43,14 +43,10 @@ class SqliteStorage:
         self.provenance: dict[str, str] = {}
         self.files: tuple[()] = ()
         self.topics: dict[str, BagTopic] = {}
-        try:
-            for path in paths:
-                file = _SqliteFile(path, packed)
-                self._files.append(file)
-                self._learn_topics(file)
-        except BaseException:
-            self.close()
-            raise
+        for path in paths:
+            file = _SqliteFile(path, packed)
+            self._files.append(file)
+            self._learn_topics(file)
         times = [time for file in self._files for time in file.times]
         self.start_time, self.end_time = min(times, default=0), max(times, default=0)
         self._files.sort(key=lambda file: min(file.times, default=LAST_TIME))
@@ -68,9 +64,7 @@ class SqliteStorage:
                 for file in self._files for problem in file.damage()]
 
     def close(self) -> None:
-        """Let go of the files."""
-        for file in self._files:
-            file.close()
+        """Do nothing: a file is open only while it is read."""
 
     def _learn_topics(self, file: _SqliteFile) -> None:
         for topic in file.topics:
@@ -92,27 +86,18 @@ class _SqliteFile:
         self.topics: list[BagTopic] = []
         self.times: list[int] = []
         self._names: dict[int, str] = {}
-        # immutable: nothing is written beside it; threads read one after another
-        address = f'file:{quote(os.fsencode(path.resolve()))}?immutable=1&mode=ro'
-        with self._guarded():
-            _refuse_unfinished(path)
-            self._base = sqlite3.connect(address, uri=True, check_same_thread=False)
-        try:
-            with self._guarded():
-                self._refuse_programs()
-                self._learn()
-        except BaseException:
-            self.close()
-            raise
+        self._status: os.stat_result | None = None
+        with self._opened() as base:
+            self._learn(base)
 
     def messages(
         self, names: Collection[str], start: int, stop: int) -> Iterator[BagMessage]:
         """Yield messages by log time."""
         numbers = [number for number, name in self._names.items() if name in names]
-        if not numbers:
+        if not numbers or not self.times or max(self.times) < start or min(self.times) >= stop:
             return
-        with self._guarded():
-            for number, time, data in self._base.execute(
+        with self._opened() as base:
+            for number, time, data in base.execute(
                     'SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN '
                     f'({",".join("?" * len(numbers))}) AND timestamp BETWEEN ? AND ? '
                     'ORDER BY timestamp, id',
@@ -125,8 +110,8 @@ class _SqliteFile:
         """Return what sqlite3 finds wrong, and the first message that cannot be read."""
         found = []
         try:
-            with self._guarded():
-                found += [str(told) for told, in self._base.execute(
+            with self._opened() as base:
+                found += [str(told) for told, in base.execute(
                     f'PRAGMA integrity_check({MOST_DAMAGE})') if told != 'ok']
             for _ in self.messages(self._names.values(), 0, 2 ** 64):
                 pass
@@ -134,25 +119,20 @@ class _SqliteFile:
             found.append(str(error).removeprefix(f'{self.path}: '))
         return found
 
-    def close(self) -> None:
-        """Let go of the file."""
-        self._base.close()
-
     def _unpacked(self, time: int, data: bytes) -> bytes:
         try:
             return unpack_message(data)
         except BagError as error:
             raise BagError(f'{self.path}, message of {time} ns: {error}') from None
 
-    def _refuse_programs(self) -> None:
+    def _refuse_programs(self, base: sqlite3.Connection) -> None:
         """
         Refuse what computes when it is read: a view in place of a table may never end.
 
         Raises:
             BagError: the file has something other than plain tables and indexes.
         """
-        path, base = self.path, self._base
-        names = []
+        path, names = self.path, []
         for kind, name, text in base.execute('SELECT type, name, sql FROM sqlite_master'):
             if kind not in ('table', 'index') or str(text).upper().startswith('CREATE VIRTUAL'):
                 raise BagError(f'{path} has the {kind} {plain(name)}; accepted: plain tables')
@@ -162,14 +142,14 @@ class _SqliteFile:
             if hidden.fetchone():
                 raise BagError(f'{path}: the table {plain(name)} has computed columns')
 
-    def _learn(self) -> None:
+    def _learn(self, base: sqlite3.Connection) -> None:
         """
         Read the topics, and count and check what there is of them.
 
         Raises:
             BagError: texts, times or data that are none, or messages of no topic.
         """
-        base, counts = self._base, {}
+        counts = {}
         for number, count, first, last, odd in base.execute(
                 "SELECT topic_id, count(*), min(timestamp), max(timestamp), sum(typeof(timestamp) "
                 "!= 'integer' OR typeof(data) != 'blob') FROM messages GROUP BY topic_id"):
@@ -199,9 +179,27 @@ class _SqliteFile:
                            'which it never names')
 
     @contextlib.contextmanager
-    def _guarded(self) -> Iterator[None]:
+    def _opened(self) -> Iterator[sqlite3.Connection]:
+        """
+        Hold the database open: a bag may have more files than a process may have open.
+
+        Raises:
+            BagError: it is none that can be read, or it was replaced.
+        """
+        path = self.path
+        # immutable: nothing is written beside it
+        address = f'file:{quote(os.fsencode(path.resolve()))}?immutable=1&mode=ro'
         try:
-            yield
+            _refuse_unfinished(path)
+            status = path.stat()
+            if not os.path.samestat(status, self._status or status):
+                raise BagError(f'{path} was replaced meanwhile')
+            self._status = status
+            # who reads ahead ends in another thread than the one that began
+            with contextlib.closing(
+                    sqlite3.connect(address, uri=True, check_same_thread=False)) as base:
+                self._refuse_programs(base)
+                yield base
         except (sqlite3.Error, OSError, OverflowError, MemoryError) as error:
             raise BagError(f'{self.path}: {plain(error, LINE)}') from None
 

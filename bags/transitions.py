@@ -82,7 +82,7 @@ def _transitions(
         yield from joined
     if joiner.waiting > TORN_END:
         # a topic that ended before the others
-        counts['lost_twist' if joiner.missing == CMD_VEL.name else 'lost_image'] += joiner.waiting
+        yield from joiner.end()
 
 
 def _applied(joiner: TransitionJoiner, step: Step) -> list[Transition]:

@@ -11,3 +11,6 @@ INTERRUPTED = 128 + signal.SIGINT
 
 READER_GONE = 128 + signal.SIGPIPE
 """Nobody reads what it prints any more."""
+
+FINISHED = 100
+"""A node that a command of ours has started has done its work; with 0 any library may end it."""

@@ -28,6 +28,7 @@ import rclpy
 from rclpy.duration import Duration
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.signals import install_signal_handlers, SignalHandlerOptions
 from rclpy.utilities import get_default_context, remove_ros_args
 
 # How often the executor has its turn in a node with eager subscriptions. One turn takes 0.3 to
@@ -37,6 +38,8 @@ EXECUTOR_SECONDS = 0.01
 # What a node that ends by itself gives its subscribers: a busy machine may let them wait, and what
 # a socket did not hold comes with the next heartbeat, every 0.2 s.
 LAST_MESSAGES_SECONDS = 1.0
+# what a node has that is told to end while it is still being made
+PATIENCE_SECONDS = 10.0
 # how often a node that has a last word looks whether a signal has come
 LOOK_SECONDS = 0.05
 # from a signal in the middle of a call of rclpy until rclpy knows of it
@@ -46,9 +49,12 @@ HELP = ('-h', '--help')
 # characters of an error; paths may be long, and names from outside are in it
 MAX_ERROR = 1000
 
+FINISHED_TO = 'CARRACING_FINISHED_TO'
+"""Environment variable: a file that is told the process id of a node whose work is done."""
+
 
 class Finished(Exception):
-    """Raised in a callback by a node whose work is done; the process ends with code 0."""
+    """Raised in a callback by a node whose work is done; see `Started.finished_code`."""
 
 
 class HelpWanted(Exception):
@@ -68,12 +74,15 @@ class Started:
     Attributes:
         arguments: what followed the name of the program.
         describe_only: whether nodes are to raise `HelpWanted` instead of joining a graph.
-        stopped_code: exit code of a node that a signal has stopped. It is 0, because launch calls
-            everything else a death; who must tell that from finished work sets `INTERRUPTED`.
+        finished_code: exit code of a node whose work is done.
+        stopped_code: exit code of a node that a signal has stopped. Both are 0, because launch
+            calls everything else a death; who must tell one from the other, and from what a
+            library ends with, sets others.
     """
 
     arguments: Sequence[str] = ()
     describe_only: bool = False
+    finished_code: int = 0
     stopped_code: int = 0
 
 
@@ -86,7 +95,7 @@ def run_node(make_node: Callable[[], Any], args: list[str] | None = None) -> int
 
     `--help` describes it. A `BridgeError` while starting or running ends it with one line and
     code 2, an unexpected error with its traceback and code 1, anything else with code 0 (see
-    `Started.stopped_code`).
+    `Started`).
 
     Args:
         make_node: makes a `NodeShell`.
@@ -107,7 +116,10 @@ def run_node(make_node: Callable[[], Any], args: list[str] | None = None) -> int
             hide_folders()
             STARTED.arguments = arguments
             finished = _spin_to_the_end(make_node, arguments)
-            code = 0 if finished else STARTED.stopped_code
+            code = STARTED.finished_code if finished else STARTED.stopped_code
+            if finished and FINISHED_TO in os.environ:
+                with contextlib.suppress(OSError), open(os.environ[FINISHED_TO], 'a') as file:
+                    file.write(f'{os.getpid()}\n')
     except BridgeError as error:
         say(f'error: {plain(error, MAX_ERROR)}')
         code = 2
@@ -168,28 +180,36 @@ def told_in_a_line(what: str) -> Iterator[None]:
         raise SettingsError(f'{what}: {plain(lines[0], 300)}') from None
 
 
-def _end_on_hangup() -> None:
-    """End on SIGHUP, of a terminal that was closed, as on SIGTERM, unless it is ignored."""
-    if signal.getsignal(signal.SIGHUP) is not signal.SIG_DFL:
-        return
+def _hear_signals(made: threading.Event) -> None:
+    """
+    End on SIGHUP, of a terminal that was closed, as on SIGTERM, unless it is ignored.
+
+    Args:
+        made: what a signal waits for, but not for ever: whether there is a node.
+    """
     reader, writer = os.pipe()
     os.set_blocking(writer, False)
 
-    def pass_on() -> None:
-        while signal.SIGHUP not in os.read(reader, 64):
-            pass
-        os.kill(os.getpid(), signal.SIGTERM)
+    def hear() -> None:
+        while True:
+            came = os.read(reader, 64)
+            if signal.SIGHUP in came:
+                os.kill(os.getpid(), signal.SIGTERM)
+            if {signal.SIGINT, signal.SIGTERM} & {*came} and not made.wait(PATIENCE_SECONDS):
+                say(f'error: told to end, and still starting {PATIENCE_SECONDS:g} s later')
+                os._exit(2)
 
     # Python runs its own handlers between two of its instructions only, and the main thread waits
     # in the middleware; the number of the signal is written at once
     signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
-    signal.signal(signal.SIGHUP, lambda *_: None)
-    threading.Thread(target=pass_on, name='hangup', daemon=True).start()
+    if signal.getsignal(signal.SIGHUP) is signal.SIG_DFL:
+        signal.signal(signal.SIGHUP, lambda *_: None)
+    threading.Thread(target=hear, name='signals', daemon=True).start()
 
 
-def _signal_without_shutdown() -> Callable[[], bool]:
+def _note_signals() -> Callable[[], bool]:
     """
-    Keep SIGINT and SIGTERM from ending ROS at once, as rclpy has them do.
+    Keep SIGINT and SIGTERM from ending anything.
 
     Returns:
         what tells whether one has come. A second one ends whatever is being done.
@@ -209,15 +229,20 @@ def _signal_without_shutdown() -> Callable[[], bool]:
 
 def _spin_to_the_end(make_node: Callable[[], Any], arguments: list[str]) -> bool:
     """Run one node; return whether it has finished its work, and was not stopped by a signal."""
+    on_interrupt = signal.getsignal(signal.SIGINT)
+    # one that ended the making of a node would leave nobody to close what is open by then
+    signalled, made, node = _note_signals(), threading.Event(), None
+    _hear_signals(made)
     with told_in_a_line('ROS does not start'):
-        rclpy.init(args=arguments)
-    _end_on_hangup()
-    node = None
+        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     try:
         node = make_node()
+        made.set()
         executor = SingleThreadedExecutor()
         executor.add_node(node)
-        signalled = _signal_without_shutdown() if node.has_last_word else lambda: False
+        if not node.has_last_word:
+            signal.signal(signal.SIGINT, on_interrupt)
+            install_signal_handlers()
         eager, wait = node.eager, LOOK_SECONDS if node.has_last_word else None
         if eager:
             shorten_time_slices()
@@ -241,6 +266,7 @@ def _spin_to_the_end(make_node: Callable[[], Any], arguments: list[str]) -> bool
         # what is left to do is bounded, and a second Ctrl-C must not cut off a save
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             signal.signal(number, signal.SIG_IGN)
+        made.set()
         if node is not None:
             node.close()
             _let_last_messages_arrive(node)

@@ -324,11 +324,11 @@ class TransitionJoiner:
             self.counts['odd_step'] += 1
         if how != 'doubted':
             self._steps.append(place)
-        while len(self._steps) > self._capacity:
-            self._steps.popleft()
-            self.counts[self._named(
-                'lost_twist' if self._waits_for == CMD_VEL.name else 'lost_image')] += 1
         return self._join()
+
+    def end(self) -> list[Transition]:
+        """Take it that nothing more comes: what waits for it is counted as what it is."""
+        return self._join(ended=True)
 
     def _named(self, loss: str) -> str:
         """Return the name of a loss: that of a topic of which nothing has come is the cause."""
@@ -348,14 +348,16 @@ class TransitionJoiner:
         for lane in (self._images, self._twists):
             lane.set_back(start)
 
-    def _join(self) -> list[Transition]:
+    def _join(self, *, ended: bool = False) -> list[Transition]:
         joined = []
         self._waits_for = ''
         while len(self._steps) > 1:
             before, after = self._steps[0], self._steps[1]
             verdict = self._verdict(before, after)
             if verdict == 'wait':
-                break
+                if len(self._steps) <= self._capacity and not ended:
+                    break
+                verdict = 'lost_twist' if self._waits_for == CMD_VEL.name else 'lost_image'
             if isinstance(verdict, Transition):
                 joined.append(verdict)
                 verdict = 'joined'

@@ -17,23 +17,25 @@ from bags.errors import BagError
 from bags.export import export_csv, export_video
 from bags.frames import recorded_frames, RecordedFrame
 from bags.image_arrays import load_images
-from bags.info import bag_info
+from bags.info import bag_info, show_info
 from bags.painter import BLUE, FramePainter, GREEN
 from bags.reader import BagReader
 from bags.schemas import Schema
 from bags.transitions import bag_transitions
 from bags.verify import verify_bag
 from bags.writer import BagWriter
+from carracing_dqn.simulation import open_drive
 from carracing_sim_node import make_env
 from carracing_sim_node.controls import controls
 from msgs_bridge.step import STEP_CORE
 from msgs_bridge.errors import SimulatorError
 from msgs_bridge.step import read_step
-from msgs_bridge.topics import CMD_VEL, IMAGE, Q_VALUES, STEP
+from msgs_bridge.topics import CMD_VEL, EPISODE, IMAGE, Q_VALUES, STEP
 from msgs_bridge.twists import Command
 import numpy as np
 from PIL import Image
 import pytest
+from rich.console import Console
 import toy_simulator
 
 
@@ -605,6 +607,68 @@ def test_a_topic_that_ends_before_the_others_is_missed(tmp_path, drive, ended, t
     with BagReader(tmp_path / 'bag') as reader:
         found = verify_bag(reader, resimulate=False)
     assert any(told in problem for problem in found.problems), found
+
+
+@pytest.fixture(scope='module')
+def reset(tmp_path_factory):
+    """Return a bag of three episodes of 20 decisions, the first two ended by resets after 12."""
+    folder = tmp_path_factory.mktemp('reset') / 'bag'
+    settings = {'seed': 5, 'seed_each_episode': True, 'max_episode_frames': 20}
+    drive = open_drive(settings)
+    recorder = DriveRecorder(folder, provenance={'simulator': settings})
+    for number in range(3):
+        frame = drive.begin()
+        recorder.frame(frame)
+        while not frame.step.ended:
+            # the twist that was on its way answers no frame
+            recorder.put(CMD_VEL, twist(frame.stamp, scripted(drive.decision)))
+            if number < 2 and drive.decision == 12:
+                recorder.put(EPISODE, bundle(drive.stamp, drive.abandon()))
+                break
+            frame = drive.advance(scripted(drive.decision), frame.stamp)
+            recorder.frame(frame)
+    recorder.writer.close()
+    return folder
+
+
+def test_an_episode_that_a_reset_ends_lacks_nothing(reset):
+    found = verified(reset)
+    assert found.good and not found.notes, found
+    assert found.transitions == {'joined': 12 + 12 + 20}
+    assert (found.resimulation.frames, found.resimulation.differing_frames) == (13 + 13 + 21, 0)
+    console = Console(record=True, width=120)
+    with BagReader(reset) as reader:
+        show_info(bag_info(reader), console)
+    told = console.export_text()
+    assert told.count('reset, or its end') == 2 and 'after the bag' not in told
+
+
+@pytest.mark.parametrize(('topic', 'kept', 'lost'), [
+    # alone, on either side of a reset, and from there to the end
+    ('/image_raw', lambda number: number != 5, {'lost_image': 2}),
+    ('/image_raw', lambda number: number != 12, {'lost_image': 1}),
+    ('/image_raw', lambda number: number != 13, {'lost_image': 1}),
+    ('/image_raw', lambda number: number < 10, {'lost_image': 3 + 12 + 20}),
+    ('/cmd_vel', lambda number: number != 12, {}),
+    ('/cmd_vel', lambda number: number < 10, {'lost_twist': 2 + 12 + 20}),
+])
+def test_between_episodes_nothing_is_counted_as_lost(tmp_path, reset, topic, kept, lost):
+    bag = changed(reset, tmp_path / 'bag', lambda name, number, data: (
+        [data] if name != topic or kept(number) else []))
+    counts = Counter()
+    list(bag_transitions([bag], counts=counts))
+    assert {name: count for name, count in counts.items() if count} == {
+        'joined': 12 + 12 + 20 - sum(lost.values()), **lost}
+
+
+def test_what_waits_for_images_is_counted_as_what_it_is(tmp_path, reset):
+    def change(name, number, data):
+        return [] if name == '/image_raw' and number >= 10 or (
+            name == '/step' and number == 20) else [data]
+
+    counts = Counter()
+    list(bag_transitions([changed(reset, tmp_path / 'bag', change)], counts=counts))
+    assert (counts['lost_step'], counts['lost_image']) == (1, 3 + 10 + 20)
 
 
 def test_video_of_another_simulator_has_its_size_and_its_pace(tmp_path):

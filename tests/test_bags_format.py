@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What our bags look like on the disk, and to others who read them."""
 from pathlib import Path
+import shutil
 import subprocess
 import sys
 import textwrap
@@ -182,24 +183,35 @@ def test_splitting_by_size_loses_nothing_and_every_file_stands_alone(tmp_path):
     assert sum(file.message_count for file in read_metadata(tmp_path / 'bag').files) == total
 
 
-def test_a_bag_of_more_files_than_may_be_open_at_first_is_read(tmp_path):
+def test_a_bag_of_more_files_than_may_be_open_is_read(tmp_path):
     small_bag(tmp_path / 'bag', split_bytes=1, messages=30, chunk_bytes=1)
     script = textwrap.dedent("""
         import resource, sys
         sys.path.insert(0, sys.argv[2])
         from bags.reader import BagReader
         from bags.recover import recover_bag
-        _, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-        resource.setrlimit(resource.RLIMIT_NOFILE, (40, hard))
+        from bags.verify import verify_bag
+        resource.setrlimit(resource.RLIMIT_NOFILE, (40, 40))
         with BagReader(sys.argv[1]) as reader:
-            print(len(reader.files), sum(1 for _ in reader.messages()))
-        resource.setrlimit(resource.RLIMIT_NOFILE, (40, hard))
+            print(len(reader.files), sum(1 for _ in reader.messages()), verify_bag(reader).good)
         print(recover_bag(sys.argv[1], sys.argv[1] + '_saved').messages)
     """)
     told = subprocess.run(
         [sys.executable, '-c', script, str(tmp_path / 'bag'), str(ROOT)],
         capture_output=True, text=True, timeout=60, check=True).stdout
-    assert told.split() == ['60', '60', '60']
+    assert told.split() == ['60', '60', 'True', '60']
+
+
+def test_a_file_that_is_replaced_before_its_turn_is_none_of_the_bag(tmp_path):
+    small_bag(tmp_path / 'bag', split_bytes=1, messages=10, chunk_bytes=1)
+    with BagReader(tmp_path / 'bag') as reader:
+        messages = reader.messages()
+        next(messages)
+        last = reader.files[-1]
+        shutil.copy(last, tmp_path / 'other')
+        (tmp_path / 'other').replace(last)
+        with pytest.raises(BagError, match=f'{last.name} was replaced meanwhile'):
+            list(messages)
 
 
 def test_splitting_by_time(tmp_path):

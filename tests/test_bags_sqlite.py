@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """sqlite3 bags of somebody else: the file counts, and what would never end is refused."""
 import os
+import resource
 import shutil
 import sqlite3
 import subprocess
@@ -106,6 +107,32 @@ def test_the_files_of_a_bag_are_read_by_their_times(bag):
     changed(second, "UPDATE topics SET type = 'std_msgs/msg/Int32'")
     with pytest.raises(BagError, match='is of type std_msgs/msg/Int32 and of type'):
         BagReader(folder)
+
+
+def test_a_bag_of_more_files_than_may_be_open_is_read(bag):
+    folder, file = bag
+    names = [f'bag_{number}.db3' for number in range(30)]
+    for name in names:
+        shutil.copy(file, folder / name)
+    with_metadata(folder, lambda body, topic: (
+        body.update(relative_file_paths=names, message_count=30, files=[]),
+        body['topics_with_message_count'][0].update(message_count=30)))
+    limit, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    # the lowest number that is free
+    with open(os.devnull) as free:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (free.fileno() + 10, most))
+    try:
+        with BagReader(folder) as reader:
+            assert len(list(reader.messages())) == reader.message_count == 30
+            assert verify_bag(reader).good
+            messages = reader.messages()
+            next(messages)
+            shutil.copy(file, folder / 'other')
+            (folder / 'other').replace(folder / names[-1])
+            with pytest.raises(BagError, match=f'{names[-1]} was replaced meanwhile'):
+                list(messages)
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (limit, most))
 
 
 @pytest.mark.parametrize(('commands', 'told'), [

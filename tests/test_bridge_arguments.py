@@ -33,7 +33,7 @@ class Node(NodeShell):
         print('settings', repr(self.settings.run), self.settings.rate, flush=True)
         if self.settings.run != 'stay':
             raise Finished
-        # once it runs: a signal in the middle of making a node leaves nothing to close
+        # once it runs, so that what is tested is a signal then
         self.create_timer(0.1, lambda: print('running', flush=True))
 
     def close(self):

@@ -367,3 +367,15 @@ def test_it_says_what_it_waits_for():
     assert (joiner.missing, joiner.waiting) == ('image_raw', 1)
     feed(joiner, images[3:4])
     assert (joiner.missing, joiner.waiting) == ('', 0)
+
+
+@pytest.mark.parametrize('capacity', [3, 1000])
+def test_what_waited_for_images_that_never_came_is_counted_as_what_it_is(capacity):
+    images, steps, twists = drive(episodes=3)
+    joiner = TransitionJoiner(capacity=capacity)
+    # one by one, so that what is kept of the twists is not the limit
+    for step, twist, image in itertools.zip_longest(steps, twists, images[:5]):
+        feed(joiner, [one for one in (image, twist, step) if one])
+    joiner.end()
+    # four of each episode, and nothing between the last frame of one and the first of the next
+    assert joiner.counts == {'joined': 4, 'lost_image': 8}

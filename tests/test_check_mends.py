@@ -31,7 +31,8 @@ def looked_at(message, vehicle, camera=(), count=20):
     seen = Seen(
         '/image_raw', '/cmd_vel', [IMAGE_TYPE], [], [stamp / 1e9 for stamp in stamps], stamps,
         {message.format if compressed else message.encoding},
-        set() if compressed else {(message.width, message.height)}, set(), [('', frames)],
+        {(SIDE, SIDE)} if compressed else {(message.width, message.height)}, set(),
+        [('', frames)],
         ['reliable'], [STAMPED_TYPE], [], [], True)
     wanted = Wanted(dict(vehicle), dict(camera), (SIDE, SIDE), 0.04)
     return {one.name: one for one in findings(seen, wanted)}

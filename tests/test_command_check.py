@@ -5,8 +5,10 @@ from __future__ import annotations
 
 import _thread
 from pathlib import Path
+import struct
 import threading
 import time
+import zlib
 
 from carracing_dqn.bringup.check_node import look
 from carracing_dqn.bringup.command import main
@@ -18,15 +20,16 @@ from carracing_dqn.simulation.fit import (
 from carracing_dqn.simulation.picture_motion import sideways_shift, turned_left
 from dqn_policy_node.settings import PolicySettings
 from geometry_msgs.msg import TwistStamped
-from msgs_bridge.images import fill_image
+from msgs_bridge.images import fill_compressed_image, fill_image
 from msgs_bridge.listening_node import node_of_a_command
 from msgs_bridge.qos import qos_profile
+from msgs_bridge.settings import from_mapping
 from msgs_bridge.topics import CMD_VEL, IMAGE
 from msgs_bridge.twists import Command
 import numpy as np
 import pytest
 import rclpy
-from sensor_msgs.msg import Image
+from sensor_msgs.msg import CompressedImage, Image
 
 RANDOM = np.random.default_rng(0)
 WORLD = np.repeat(np.repeat(RANDOM.integers(0, 255, (40, 60, 3), np.uint8), 4, 0), 4, 1)
@@ -65,10 +68,10 @@ def test_a_car_that_fits_is_told_so():
 
 
 def test_a_camera_that_compresses_is_not_said_to_send_nothing():
-    seen = good(image_types=[COMPRESSED_TYPE], encodings={'jpeg'}, sizes=set())
+    seen = good(image_types=[COMPRESSED_TYPE], encodings={'jpeg'})
     found = verdicts(seen, {'camera_compressed': True})
     assert BAD not in {one.verdict for one in found.values()}
-    assert found['size'].verdict == UNSURE and 'the model sees 96x96' in found['size'].found
+    assert found['size'].verdict == GOOD and 'the model sees 96x96' in found['size'].found
 
 
 NOTHING = {'arrivals': [], 'stamps': [], 'image_types': []}
@@ -210,6 +213,49 @@ def test_a_car_that_is_nudged_stands_after_ctrl_c():
         done.set()
         car.join()
         rclpy.try_shutdown(context=node.context)
+
+
+def claiming(width: int, height: int) -> CompressedImage:
+    """Return a png of one pixel that says it is larger."""
+    message = fill_compressed_image(CompressedImage(), np.zeros((1, 1, 3), np.uint8), 1, '')
+    data = bytes(message.data)
+    head = b'IHDR' + struct.pack('>II', width, height) + data[24:29]
+    message.data = data[:12] + head + struct.pack('>I', zlib.crc32(head)) + data[33:]
+    return message
+
+
+@pytest.mark.parametrize(('message', 'vehicle', 'sizes', 'verdict', 'told'), [
+    (fill_compressed_image(CompressedImage(), view(0), 1, ''), {}, {(96, 96)}, GOOD, '96x96'),
+    (fill_compressed_image(CompressedImage(), WORLD, 1, ''), {}, {(240, 160)}, BAD,
+     '240x160 is squeezed'),
+    (fill_compressed_image(CompressedImage(), view(0), 1, ''), {'camera_crop': '0,0,100,100'},
+     {(96, 96)}, BAD, 'camera_crop 0,0,100,100 does not fit'),
+    (claiming(60_000, 60_000), {}, set(), BAD, 'no image that can be used'),
+    (CompressedImage(data=b'neither'), {}, set(), BAD, 'no image that can be used')])
+def test_the_size_of_compressed_images_is_that_of_what_is_in_them(
+        message, vehicle, sizes, verdict, told):
+    vehicle = {'camera_compressed': True, **vehicle}
+    node, executor = node_of_a_command('packing_car', '/packing')
+    images = node.create_publisher(CompressedImage, IMAGE.name, qos_profile(IMAGE))
+    done = threading.Event()
+
+    def send():
+        while not done.is_set():
+            images.publish(message)
+            executor.spin_once(timeout_sec=0.05)
+
+    car = threading.Thread(target=send)
+    car.start()
+    try:
+        seen = look(from_mapping(PolicySettings, vehicle), (96, 96), namespace='/packing',
+                    remaps={}, seconds=0.5, nudge=False)
+    finally:
+        done.set()
+        car.join()
+        rclpy.try_shutdown(context=node.context)
+    assert seen.sizes == sizes
+    size = verdicts(seen, vehicle)['size']
+    assert size.verdict == verdict and told in size.found, size
 
 
 @pytest.mark.parametrize('words', [

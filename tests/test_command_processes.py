@@ -10,16 +10,19 @@ import sys
 import tempfile
 import textwrap
 import time
+import types
 
 from carracing_dqn.bringup import supervise
 from carracing_dqn.bringup.graph import (
     ANNOTATOR, cars_graph, driving_graph, KINDS, race_graph, REFEREE, replay_graph, TELEOP,
     training_graph,
 )
+from carracing_dqn.bringup.launch_graph import _end_all, NodeFailed
 from carracing_dqn.bringup.processes import ChildDied, node_command, ProcessGroup
-from graph_probe import wait_for
+from graph_probe import carracing, wait_for
 from msgs_bridge.errors import BridgeError
-from msgs_bridge.exit_codes import INTERRUPTED
+from msgs_bridge.exit_codes import ERROR, FINISHED, INTERRUPTED
+from msgs_bridge.node_process import FINISHED_TO
 from msgs_bridge.settings import describe
 import pytest
 from trainer_node.hyperparameters import Hyperparameters
@@ -142,6 +145,14 @@ def test_a_car_that_dies_does_not_end_the_others_but_the_last_one_does(tmp_path)
         group.check_ends()
 
 
+def test_a_car_without_its_policy_is_none(tmp_path):
+    with ProcessGroup(tmp_path) as group:
+        group.start('simulator_car_0', ['sleep', '60'], expendable=True)
+        group.start('policy_car_0', ['true'], expendable=True).process.wait(20)
+        with pytest.raises(ChildDied, match='no car is left: policy_car_0 ended with exit code 0'):
+            group.check()
+
+
 def test_graphs_name_parameters_that_the_nodes_know():
     graphs = [driving_graph(model='racing', seed=1, bag='bag'), replay_graph(bag='bag'),
               training_graph(Hyperparameters(), trainer={'run': 'x', 'preset': 'y'}),
@@ -177,12 +188,125 @@ def test_a_child_is_nice_in_its_folder_and_ends_with_its_parent(tmp_path):
              or ') Z ' in Path(f'/proc/{pid}/stat').read_text(), 10, 'the end of the child')
 
 
-def test_finished_work_is_code_0_and_anything_else_is_told_with_its_cause(group):
-    start(group, 'done', 'return 0')
+def test_finished_work_has_a_code_and_anything_else_is_told_with_its_cause(group):
+    start(group, 'done', f'return {FINISHED}')
     wait_for(lambda: group.check() == 'done', 20, 'the end')
     start(group, 'failing', "print('error: the disk is full'); print('bye'); return 2")
     with pytest.raises(ChildDied, match='failing ended with exit code 2: the disk is full .log: '):
         wait_for(lambda: group.check() == 'failing', 20, 'the end')
+
+
+def test_a_child_that_ends_well_of_itself_has_not_finished(group):
+    child = start(group, 'silent', 'os._exit(0)')
+    child.process.wait(20)
+    with pytest.raises(ChildDied, match='^silent ended with exit code 0 before its work was done'):
+        group.check()
+    group.stop()
+    # nor has one that should save
+    with pytest.raises(ChildDied, match='^silent ended with exit code 0 before its work was done'):
+        group.check_ends()
+
+
+def test_a_library_that_ends_the_simulator_does_not_make_the_drive_a_success(tmp_path):
+    (tmp_path / 'leaving.py').write_text(textwrap.dedent("""
+        import os
+        import toy_simulator
+
+        class Leaving(toy_simulator.Toy):
+            steps = 0
+
+            def advance(self, command, frames=1):
+                self.steps += 1
+                if self.steps > 60:
+                    os._exit(0)
+                return super().advance(command, frames)
+        """))
+    done = carracing(
+        'run', '--model', 'random', '--simulator', 'leaving:Leaving', '--laps', '100', '--no-bag',
+        '--output', str(tmp_path / 'drive'), timeout=90,
+        env={**os.environ, 'PYTHONPATH': os.pathsep.join((str(tmp_path), 'tests'))})
+    assert done.returncode == ERROR, done.stdout + done.stderr
+    assert done.stderr.startswith(
+        'error: simulator ended with exit code 0 before its work was done (log: ')
+    assert done.stderr.count('\n') == 1
+
+
+NODE = """
+import dataclasses
+from msgs_bridge.node_shell import Finished, NodeShell, run_node
+
+@dataclasses.dataclass(frozen=True)
+class Settings:
+    pass
+
+class Node(NodeShell):
+    def __init__(self):
+        super().__init__('made_up', Settings)
+        with open('open', 'w'):
+            print('opened', flush=True)
+        {makes}
+
+    def finish(self):
+        raise Finished
+
+    def close(self):
+        print('closed', flush=True)
+
+def main():
+    return run_node(Node)
+"""
+
+
+def start_node(group, makes):
+    """Start a node whose constructor goes on with some lines."""
+    folder = group.log_folder.parent
+    makes = textwrap.indent(textwrap.dedent(makes).strip(), 8 * ' ').strip()
+    (folder / 'made_up.py').write_text(NODE.replace('{makes}', makes))
+    return group.start('made_up', node_command('made_up', {}, supervised=True, folder=folder))
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_waits_for_a_node_that_is_being_made_and_then_closes_it(group, number):
+    child = start_node(group, """
+        import time
+        for _ in range(50):
+            time.sleep(0.02)
+            self.count_publishers('image_raw')
+        print('made', flush=True)""")
+    wait_for(lambda: child.said('opened'), 20, 'it')
+    child.process.send_signal(number)
+    assert child.process.wait(20) == INTERRUPTED
+    wait_for(lambda: child.said('closed'), 5, 'its last word')
+    assert list(child.words) == ['opened', 'made', 'closed']
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_a_node_that_is_never_made_ends_all_the_same(group, number):
+    child = start_node(group, 'import threading; threading.Event().wait()')
+    wait_for(lambda: child.said('opened'), 20, 'it')
+    child.process.send_signal(number)
+    assert child.process.wait(30) == ERROR
+    assert 'told to end, and still starting 10 s later' in child.obituary()
+
+
+def test_a_launch_believes_a_node_that_its_work_is_done_and_nobody_else(group, monkeypatch):
+    finished, writer = os.pipe()
+    os.set_blocking(finished, False)
+    monkeypatch.setenv(FINISHED_TO, f'/proc/{os.getpid()}/fd/{writer}')
+    child = start_node(group, 'self.create_timer(0.1, self.finish)')
+    assert child.process.wait(20) == FINISHED
+    actions = types.SimpleNamespace(EmitEvent=lambda event: event)
+    events = types.SimpleNamespace(Shutdown=lambda reason: reason)
+    for name, module in (('actions', actions), ('events', events)):
+        monkeypatch.setitem(sys.modules, f'launch.{name}', module)
+    monkeypatch.setitem(sys.modules, 'launch', types.ModuleType('launch'))
+    event = types.SimpleNamespace(process_name='made_up-1', returncode=0, pid=child.process.pid)
+    running = types.SimpleNamespace(is_shutdown=False)
+    assert _end_all(finished, event, running) == 'made_up-1 is done'
+    with pytest.raises(NodeFailed, match='made_up-1 ended with code 0 before its work was done'):
+        _end_all(finished, event, running)
+    os.close(finished)
+    os.close(writer)
 
 
 def test_a_child_that_was_stopped_from_outside_has_not_finished(group):

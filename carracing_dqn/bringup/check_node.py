@@ -15,6 +15,7 @@ from dqn_policy_node.settings import PolicySettings
 from msgs_bridge import topics
 from msgs_bridge.adaptive_subscription import AdaptiveSubscription
 from msgs_bridge.errors import BridgeError, MessageError
+from msgs_bridge.images import compressed_to_array
 from msgs_bridge.listening_node import node_of_a_command
 from msgs_bridge.matching import (
     as_known, deaf_subscriptions, publishers_of, subscriptions_of, topics_of,
@@ -174,6 +175,10 @@ class _Look:
             seen.sizes.add((message.width, message.height))
         command, (_, series) = self._phase[2], seen.frames[-1]
         try:
+            if not seen.sizes:
+                # a compressed one says it when it is unpacked, which for each would take too long
+                height, width, _ = compressed_to_array(message).shape
+                seen.sizes.add((width, height))
             frame = self._camera.frame(message)
             if len(series) < MAX_FRAMES:
                 series.append(frame.copy())

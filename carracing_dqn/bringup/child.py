@@ -36,7 +36,8 @@ def main() -> int:
     parser.add_argument('--nice', type=int, default=0, help='added to the niceness')
     parser.add_argument('--folder', default='.', help='current folder of the node')
     parser.add_argument('--supervised', action='store_true',
-                        help='end otherwise when stopped by a signal than with finished work')
+                        help='end otherwise when stopped by a signal than with finished work, and '
+                             'with 0 in neither case')
     parser.add_argument('-m', dest='module', required=True,
                         help='module with a main, or package with a node')
     # what follows the module is the node's own
@@ -51,9 +52,10 @@ def main() -> int:
     if hasattr(module, '__path__'):
         # as its __main__ does
         module = importlib.import_module(f'{arguments.module}.node')
-    from msgs_bridge.exit_codes import INTERRUPTED
+    from msgs_bridge.exit_codes import FINISHED, INTERRUPTED
     from msgs_bridge.node_process import STARTED
-    STARTED.stopped_code = INTERRUPTED if arguments.supervised else 0
+    if arguments.supervised:
+        STARTED.finished_code, STARTED.stopped_code = FINISHED, INTERRUPTED
     # only now, so that a relative place of the modules still holds while they are imported
     os.chdir(arguments.folder)
     sys.argv = [arguments.module, *words]

@@ -16,9 +16,9 @@ import time
 from types import MappingProxyType
 from typing import Any
 
-from carracing_dqn.bringup.graph import Graph, RECORDER, SIMULATOR
+from carracing_dqn.bringup.graph import Graph, RECORDER
 from msgs_bridge.errors import BridgeError
-from msgs_bridge.exit_codes import INTERRUPTED
+from msgs_bridge.exit_codes import FINISHED, INTERRUPTED
 from msgs_bridge.plain_text import plain
 from msgs_bridge.regular_file import open_at_once
 
@@ -61,13 +61,14 @@ def node_command(
         namespace: ROS namespace; empty for none.
         nice: how much of its share of the processor it leaves to others.
         folder: its current folder.
-        supervised: whether it ends with `INTERRUPTED`, not with 0, when a signal stops it.
+        supervised: whether it ends with `FINISHED`, not with 0, when its work is done, and with
+            `INTERRUPTED` when a signal stops it.
         remaps: what its topics are called instead.
     """
     command = [
         sys.executable, '-m', CHILD, '--parent', str(os.getpid()),
-        '--nice', str(nice), f'--folder={folder}', *(['--supervised'] if supervised else []),
-        '-m', module, '--ros-args']
+        '--nice', str(nice), f'--folder={folder}',
+        *(['--supervised'] if supervised else []), '-m', module, '--ros-args']
     if namespace:
         command += ['-r', f'__ns:=/{namespace.strip("/")}']
     for name, value in remaps.items():
@@ -146,7 +147,7 @@ class Child:
     @property
     def failed(self) -> bool:
         """Return whether it has ended otherwise than by finishing, or by being asked to stop."""
-        accepted = (None, 0)
+        accepted = (None, FINISHED)
         if self.asked:
             accepted += (INTERRUPTED, -signal.SIGINT, -signal.SIGKILL)
         return self.code not in accepted
@@ -167,6 +168,8 @@ class Child:
         if code == INTERRUPTED:
             return f'{self.name} was stopped from outside before the work was done'
         ended = f'signal {signal.Signals(-code).name}' if code < 0 else f'exit code {code}'
+        if code == 0:
+            ended += ' before its work was done'
         # a node that gives up says why in such a line; a traceback has the reason in its last,
         # and what was said before a signal has nothing to do with it
         reasons = [line for line in self.words if line.startswith('error: ')]
@@ -229,23 +232,25 @@ class ProcessGroup:
 
     def check(self) -> str | None:
         """
-        Return the name of a child that has finished its work (exit code 0), else None.
+        Return the name of a child that has finished its work, by its exit code, else None.
 
         Raises:
-            ChildDied: one ended otherwise, or the last car did.
+            ChildDied: one ended otherwise, or of every car a node did.
             BridgeError: the folder of the logs was removed, and what is beside it with it.
         """
         finished = None
-        cars = [child for child in self.children.values()
-                if child.expendable and child.name.startswith(SIMULATOR.role)]
-        if cars and all(child.code is not None for child in cars):
-            raise ChildDied(f'no car is left: {cars[-1].obituary()}')
+        parts = [child for child in self.children.values() if child.expendable]
+        gone = [child for child in parts if child.code is not None]
+        # one without its policy stands; a role is followed by the space of its car
+        if parts and not ({child.name.partition('_')[2] for child in parts}
+                          - {child.name.partition('_')[2] for child in gone}):
+            raise ChildDied(f'no car is left: {gone[-1].obituary()}')
         for name, child in self.children.items():
             if child.expendable:
                 continue
             if child.failed:
                 raise ChildDied(child.obituary())
-            if child.code == 0:
+            if child.code == FINISHED:
                 finished = finished or name
         if not self.log_folder.is_dir():
             raise BridgeError(f'{self.log_folder} was removed while it was written to')

@@ -185,9 +185,6 @@ def _stamps(seen: Seen) -> Finding:
 def _size(seen: Seen, wanted: Wanted) -> Finding:
     sizes = ' and '.join(f'{width}x{height}' for width, height in sorted(seen.sizes))
     seen_as = f'the model sees {wanted.frame[0]}x{wanted.frame[1]}'
-    if not seen.sizes and wanted.vehicle.get('camera_compressed') and not seen.refused:
-        return Finding('size', UNSURE, f'compressed images do not say; {seen_as}',
-                       'a camera, or a camera_crop, of these proportions')
     if not seen.sizes:
         return Finding('size', BAD, 'of no image that can be used', 'camera_compressed')
     width, height = min(seen.sizes)
