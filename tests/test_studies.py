@@ -280,7 +280,8 @@ def test_a_grid_is_an_arm_for_every_combination(folder):
 
 
 def test_what_goes_by_minutes_goes_by_decisions(folder):
-    study = load_study(Path(write(preset='racing', simulator='', set={'run_decisions': 80_000})))
+    study = load_study(Path(write(preset='racing', simulator='', set={
+        'run_decisions': 80_000, 'run_minutes': 40.0, 'validation_every_minutes': 5.0})))
     settings = plan(study, study.arms, folder)[0].settings
     assert settings.run_minutes == settings.validation_every_minutes == 0
     assert (settings.run_decisions, settings.validation_every_decisions) == (80_000, 10_000)
