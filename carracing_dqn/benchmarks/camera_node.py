@@ -41,7 +41,7 @@ def publish(shape: tuple[int, int], rate: float, count: int, reliability: str,
 
 
 def hear(seconds: float, reliability: str, ages: Any) -> None:
-    """Send the ages of the images that came, in seconds, when none has come for some seconds."""
+    """Send the ages in seconds of the images that came within some seconds after the first."""
     rclpy.init()
     node = rclpy.create_node('listener')
     heard: list[float] = []
